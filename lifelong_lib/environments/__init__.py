@@ -1,0 +1,1 @@
+"""What is learned on: simulated systems, robots, intersections and data sets."""

@@ -1,0 +1,1 @@
+"""Single-task learners: policy gradients and Q-learning."""

@@ -1,0 +1,1 @@
+"""What turns experiments into evidence: stored runs, statistics, figures, claims, the book."""

@@ -1,0 +1,1 @@
+"""What carries knowledge from task to task."""
