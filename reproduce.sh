@@ -1,0 +1,50 @@
+#!/usr/bin/env bash
+# Sets up what is missing, then hands everything to `python -m lifelong_lib` (default command: run).
+#   LIFELONG_PYTHON=/path/to/python   use that interpreter, which has every package already, and set nothing up
+set -euo pipefail
+root="$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)"
+cd "$root"
+
+fail() { echo "error: $*" >&2; exit 2; }
+
+find_python() {   # pybullet has ready-made wheels for 3.11 only, so 3.11 is tried first
+    local name
+    for name in python3.11 python3 python python3.12 python3.13; do
+        if "$name" -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1; then
+            echo "$name"
+            return
+        fi
+    done
+    fail "no Python 3.11 or newer found; install one, or name it in LIFELONG_PYTHON"
+}
+
+set_up() {   # the copy of environment.txt is written last, so an interrupted install is noticed and repeated
+    local lock=.venv/installed.txt python
+    if [ -x .venv/bin/python ] && cmp -s environment.txt "$lock"; then
+        return
+    fi
+    echo "setting up .venv from environment.txt (a few minutes, only when that file changed)" >&2
+    rm -f "$lock"
+    if ! .venv/bin/python -c '' >/dev/null 2>&1; then
+        python="$(find_python)" || exit $?
+        rm -rf .venv
+        "$python" -m venv .venv || fail "could not make .venv with $python; is the venv module installed?"
+    fi
+    .venv/bin/python -m pip install --quiet --no-input --disable-pip-version-check -r environment.txt \
+        || fail "pip could not install environment.txt (see above); the same command tries again"
+    cp environment.txt "$lock.part"
+    mv "$lock.part" "$lock"
+}
+
+if [ -z "${LIFELONG_PYTHON:-}" ]; then
+    set_up
+fi
+python="${LIFELONG_PYTHON:-.venv/bin/python}"
+command -v "$python" >/dev/null || fail "LIFELONG_PYTHON=$python is not a program"
+
+export PYTHONHASHSEED=0 OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 NUMEXPR_NUM_THREADS=1
+export PYTHONPATH="$root${PYTHONPATH:+:$PYTHONPATH}"
+case "${1:-}" in
+    "" | -[!h]*) set -- run "$@" ;;
+esac
+exec "$python" -m lifelong_lib "$@"
