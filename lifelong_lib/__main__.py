@@ -1,0 +1,263 @@
+"""The commands: run, compare, accept, audit, bench, test, lab. `./reproduce.sh` sets up and calls this.
+
+Exit codes: 0 everything asked for was made; 1 something was not (a chapter failed, an audited run differs); 2 the
+command or its input is wrong; 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+try:
+    from lifelong_lib.reproduction import notebooks, report
+    from lifelong_lib.reproduction.runs import PROFILES, ROOT, ReproductionError
+except ModuleNotFoundError as missing:
+    print(f"error: the package {missing.name} is missing from {sys.executable}; ./reproduce.sh installs it",
+          file=sys.stderr)
+    sys.exit(2)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs one command; returns the exit code. A foreseeable mistake prints one line and returns 2."""
+    try:
+        options = parse(arguments)
+        return options.command(options)
+    except KeyboardInterrupt:
+        return complain("interrupted; what was stored stays, and the same command goes on from there", 130)
+    except OSError as error:
+        return complain(f"{error.strerror or error}: {error.filename or 'while reading or writing'}", 2)
+    except ReproductionError as error:
+        return complain(str(error), 2)
+
+
+def complain(message: str, code: int) -> int:
+    print("error: " + " ".join(message.split()), file=sys.stderr)
+    return code
+
+
+def say(message: str) -> None:
+    print(message, file=sys.stderr, flush=True)
+
+
+class Parser(argparse.ArgumentParser):
+    """argparse, with its complaint on one line."""
+
+    def error(self, message: str):
+        sys.exit(complain(f"{message}; see {self.prog} --help", 2))
+
+
+def parse(arguments: list[str] | None) -> argparse.Namespace:
+    """The typed command line; `command` is the function to call with it."""
+    parser = Parser(prog="./reproduce.sh", description="Makes every figure, table and claim of the thesis afresh.")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    def add(name: str, function, about: str) -> argparse.ArgumentParser:
+        command = commands.add_parser(name, help=about, description=about, allow_abbrev=False)
+        command.set_defaults(command=function)
+        return command
+
+    def selects(command: argparse.ArgumentParser) -> None:
+        command.add_argument("--profile", choices=PROFILES, default="quick", help="how big (default: quick)")
+
+    def computes(command: argparse.ArgumentParser) -> None:
+        selects(command)
+        command.add_argument("--chapters", type=numbers, help="chapters, as in 2,4 (default: all)")
+        command.add_argument("--workers", type=positive, help="processes at a time (default: the notebook's)")
+        command.add_argument("--backend", choices=("loky", "dask"), default="loky", help="where runs are computed")
+        command.add_argument("--address", help="the Dask scheduler, as in tcp://host:8786")
+
+    run = add("run", run_command, "run the notebooks, compare with the reference, write the book")
+    computes(run)
+    run.add_argument("--seeds", type=positive, help="seeds a configuration (default: the profile's)")
+    run.add_argument("--fresh", action="store_true", help="recompute every run, stored or not")
+    run.add_argument("-p", action="append", default=[], metavar="NAME=VALUE", help="a parameter of the notebook")
+    instead = run.add_mutually_exclusive_group()
+    instead.add_argument("--plan", action="store_true", help="only predict the minutes")
+    instead.add_argument("--why", metavar="ID", help="only say which runs a figure, table or claim needs, as in F4.2")
+    instead.add_argument("--audit", type=positive, metavar="K", help="only recompute K stored runs and compare")
+    audit = add("audit", run_command, "recompute K stored runs and say whether they come out the same")
+    computes(audit)
+    audit.add_argument("audit", type=positive, metavar="K")
+    audit.set_defaults(seeds=None, fresh=False, p=[], plan=False, why=None)
+    selects(add("compare", compare_command, "compare the last run with the committed reference"))
+    selects(add("accept", accept_command, "make the last run the reference"))
+    add("bench", bench_command, "measure the speed ratios")
+    add("test", test_command, "run the tests; what follows goes to pytest").add_argument("rest", nargs="*")
+    add("lab", lab_command, "open the notebooks in JupyterLab on this machine")
+    options, rest = parser.parse_known_args(arguments)
+    if rest and options.command is not test_command:
+        parser.error(f"unknown argument {rest[0]}")
+    options.rest = [*getattr(options, "rest", []), *rest]
+    if getattr(options, "address", None) and options.backend != "dask":
+        parser.error("--address needs --backend dask")
+    return options
+
+
+def positive(text: str) -> int:
+    if not text.isdigit() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number above 0")
+    return int(text)
+
+
+def numbers(text: str) -> list[int]:
+    return sorted({positive(part.strip()) for part in text.split(",")})
+
+
+def run_command(options: argparse.Namespace) -> int:
+    """Checks everything that was asked for, then plans, explains, audits or runs."""
+    found = notebooks.find_notebooks()
+    for number in options.chapters or []:
+        if number not in found:
+            raise ReproductionError(f"chapter {number} has no notebook; there are {', '.join(map(str, found))}")
+    chosen = {number: path for number, path in found.items() if number in (options.chapters or found)}
+    if options.why:
+        chosen = {number: path for number, path in chosen.items() if options.why in notebooks.made_ids(path)}
+        if not chosen:
+            raise ReproductionError(f"no notebook makes {options.why}; ids look like F4.2, T4.1 or C4.5")
+    if not chosen:
+        raise ReproductionError("there is no notebook in notebooks/ to run")
+    given: dict[str, object] = {"profile": options.profile}
+    given |= {name: value for name in ("seeds", "workers") if (value := getattr(options, name)) is not None}
+    for setting in options.p:
+        name, equals, value = setting.partition("=")
+        if not equals or name in notebooks.COMMON:
+            wanted = f"{name} has its own option" if equals else "NAME=VALUE is wanted"
+            raise ReproductionError(f"-p {setting}: {wanted}")
+        given[name] = value
+    typed = {number: notebooks.typed_parameters(path, given) for number, path in chosen.items()}
+    if options.plan or options.why:
+        return plan(options, chosen, typed)
+    return audit_runs(options, chosen, typed) if options.audit else run(options, chosen, typed)
+
+
+def kernel_options(options: argparse.Namespace, **more: object) -> dict:
+    """What reaches run_grid; what was not asked for is left out."""
+    given = {"backend": options.backend, "address": options.address, "fresh": options.fresh} | more
+    return {name: value for name, value in given.items() if value}
+
+
+def run(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, dict]) -> int:
+    """Executes the chapters one after another; a chapter that fails is reported and the others still run."""
+    from lifelong_lib.reproduction import book  # here because Sphinx is slow to import
+
+    folder, reference = places(options)
+    finished = {}
+    for place, (number, path) in enumerate(chosen.items(), 1):
+        say(f"[{place}/{len(chosen)}] chapter {number}, {options.profile}: {path.name}")
+        start = time.time()
+        try:
+            notebooks.execute(path, typed[number], folder, kernel_options(options))
+            missing = notebooks.missing_results(path, folder, since=start)
+            if missing:
+                raise ReproductionError(f"{path.name} ran, but did not make {', '.join(missing)}")
+        except ReproductionError as error:
+            complain(str(error), 1)
+            continue
+        say(f"[{place}/{len(chosen)}] chapter {number} made in {time.time() - start:.0f} s")
+        finished[number] = typed[number]
+    folder.mkdir(parents=True, exist_ok=True)
+    report.write_provenance(folder, options.profile, finished)
+    print("\n".join(report.comparison_lines(report.compare(folder, reference))))
+    counts = report.verdict_counts(report.read_json(folder / "claims.json", []))
+    print("claims: " + ", ".join(f"{number} {verdict}" for verdict, number in counts.items()))
+    print(f"book: {book.build_book(folder, reference)}")
+    left = ", ".join(str(number) for number in chosen if number not in finished)
+    return complain(f"not made: chapter {left} (see above)", 1) if left else 0
+
+
+def plan(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, dict]) -> int:
+    """--plan: minutes a grid and in all. --why ID: the grids that ID rests on. Nothing is computed or overwritten."""
+    grids = look(options, chosen, typed)
+    for grid in grids:
+        if options.why and options.why not in grid["makes"]:
+            continue
+        line = (f"chapter {grid['chapter']}  {grid['name']:28} {grid['wanted']:5} runs: {grid['stored']} stored, "
+                f"{grid['stale']} stale, {grid['missing']} missing")
+        minutes = "  minutes unknown" if grid["seconds"] is None else f"  {grid['seconds'] / 60:6.1f} min"
+        print(line + ("" if options.why else minutes))
+        for cause, count in grid["causes"].items():
+            print(f"    {count} stale because {cause}")
+    if options.why:
+        if not any(options.why in grid["makes"] for grid in grids):
+            print(f"{options.why} rests on no stored runs: its notebook computes it every time")
+        return 0
+    known = sum(grid["seconds"] or 0 for grid in grids)
+    unknown = sum(grid["seconds"] is None for grid in grids)
+    print(f"about {known / 60:.1f} min to compute" + (f", and {unknown} experiments never timed" if unknown else ""))
+    return 0
+
+
+def audit_runs(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, dict]) -> int:
+    """Recomputes `options.audit` stored runs, shared out over the chapters; 1 if any differs or too few are stored."""
+    rows = look(options, chosen, typed)
+    for row in rows:
+        said = "identical" if row["same"] else f"DIFFERENT in {', '.join(row['differs'])}"
+        print(f"chapter {row['chapter']}  {row['name']}/{row['run']}: {said}{' (made by older code)' * row['stale']}")
+    same = sum(row["same"] for row in rows)
+    print(f"{same} of {len(rows)} recomputed runs are identical to what is stored")
+    if len(rows) < options.audit:
+        return complain(f"{options.audit} runs were asked for, but the notebooks as they are now own only {len(rows)} of "
+                        f"those drawn", 1)
+    return 0 if same == len(rows) else 1
+
+
+def look(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, dict]) -> list[dict]:
+    """Executes the notebooks into a throw-away folder; returns what run_grid said of each grid, or audited run."""
+    with tempfile.TemporaryDirectory(prefix="lifelong-look-") as temporary:
+        lines, left = Path(temporary, "audit.jsonl" if options.audit else "plan.jsonl"), options.audit or 0
+        for place, (number, path) in enumerate(chosen.items()):
+            share = -(-left // (len(chosen) - place))
+            left -= share
+            if share or not options.audit:
+                say(f"looking into chapter {number}")
+                asked = kernel_options(options, audit=share, plan="" if options.audit else str(lines))
+                notebooks.execute(path, typed[number] | {"output_dir": temporary}, Path(temporary), asked)
+        return [json.loads(line) for line in lines.read_text().splitlines()] if lines.exists() else []
+
+
+def compare_command(options: argparse.Namespace) -> int:
+    folder, reference = places(options)
+    for place, mend in ((folder, "run"), (reference, "accept")):
+        if not place.is_dir():
+            command = f"./reproduce.sh {mend} --profile {options.profile}"
+            raise ReproductionError(f"{place} is not there; `{command}` makes it")
+    print("\n".join(report.comparison_lines(report.compare(folder, reference))))
+    return 0
+
+
+def accept_command(options: argparse.Namespace) -> int:
+    folder, reference = places(options)
+    print(f"{report.accept(folder, reference)} files are now the reference in {reference}; commit them")
+    return 0
+
+
+def bench_command(options: argparse.Namespace) -> int:
+    from lifelong_lib import bench
+
+    return bench.main() or 0
+
+
+def test_command(options: argparse.Namespace) -> int:
+    return subprocess.run([sys.executable, "-m", "pytest", *options.rest], cwd=ROOT).returncode
+
+
+def lab_command(options: argparse.Namespace) -> int:
+    as_root = ["--allow-root"] if os.geteuid() == 0 else []
+    command = [sys.executable, "-m", "jupyterlab", "--ip=127.0.0.1", *as_root, "notebooks"]
+    return subprocess.run(command, cwd=ROOT).returncode
+
+
+def places(options: argparse.Namespace) -> tuple[Path, Path]:
+    """Where the profile's last run and its reference are."""
+    return ROOT / "figures" / "latest" / options.profile, ROOT / "figures" / "reference" / options.profile
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,168 @@
+"""A run beside the committed reference: the comparison, what is accepted as the new reference, and the provenance.
+
+Everything here is made from files that a run left in `figures/latest/<profile>`. Nothing is measured again.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import importlib.metadata
+import json
+import math
+import platform
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+from matplotlib.image import imread
+
+from .runs import ROOT, ReproductionError
+
+VERDICTS = ("holds", "undecided", "contradicted", "not tested")
+ACCEPTED = ("*.csv", "*.png", "*.svg", "*.md")
+PACKAGES = ("numpy", "scipy", "scikit-learn", "torch", "matplotlib", "gymnasium", "rerun-sdk", "joblib", "papermill")
+
+
+def read_json(path: Path, default: object) -> object:
+    """The content of a JSON file, or `default` when there is none; a damaged file raises ReproductionError."""
+    if not path.exists():
+        return default
+    try:
+        return json.loads(path.read_text())
+    except ValueError as error:
+        raise ReproductionError(f"{path} is damaged ({error}); delete it and run again") from error
+
+
+def write_json(path: Path, content: object) -> None:
+    path.write_text(json.dumps(content, indent=1, sort_keys=True) + "\n")
+
+
+def chapter_of(identifier: str) -> int:
+    """4 for `F4.2`."""
+    return int(re.match(r"[A-Z](\d+)", identifier).group(1))
+
+
+def write_provenance(folder: Path, profile: str, parameters: dict[int, dict]) -> None:
+    """Writes provenance.json (what made the results; no dates) and unit_costs.json (seconds a run of each grid).
+
+    parameters: the full parameter values of the chapters that were just run; other chapters keep their entry.
+    """
+    grids = [read_json(path, {}) for path in sorted((folder / "runs").glob("*.json"))]
+    lock = (ROOT / "environment.txt").read_bytes()
+    chapters = read_json(folder / "provenance.json", {}).get("chapters", {})
+    for number, values in parameters.items():
+        counts = {grid["name"]: {key: grid[key] for key in ("wanted", "computed", "read", "stale")}
+                  for grid in grids if grid["chapter"] == number}
+        chapters[f"ch{number:02d}"] = {"parameters": values, "runs": counts}
+    versions = {name: importlib.metadata.version(name) for name in PACKAGES}
+    write_json(folder / "provenance.json", {
+        "profile": profile, "commit": _commit(), "lock": hashlib.sha256(lock).hexdigest(), "chapters": chapters,
+        "versions": versions | {"python": platform.python_version()},
+        "machine": f"{platform.system()} {platform.machine()}",
+    })
+    costs = {f"ch{grid['chapter']:02d}/{grid['name']}": grid["seconds_per_run"] for grid in grids}
+    write_json(folder / "unit_costs.json", {name: cost for name, cost in costs.items() if cost is not None})
+
+
+def _commit() -> str:
+    def git(*arguments: str) -> str:
+        return subprocess.run(["git", "-C", str(ROOT), *arguments], capture_output=True, text=True, check=True).stdout
+    try:
+        return git("rev-parse", "HEAD").strip() + (" with changes" if git("status", "--porcelain", "-uno") else "")
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown (no git history here)"
+
+
+def compare(latest: Path, reference: Path) -> dict:
+    """Compares every figure and table with the reference: the data first, then the picture, then the verdicts.
+
+    Returns, and writes to `latest`/comparison.json, {"results": [{id, data, picture}], "verdicts": [{id, reference,
+    latest}] (those that changed)}.
+    """
+    names = sorted({path.stem for folder in (latest, reference) for path in folder.glob("[FT]*.csv")}, key=order)
+    results = [{"id": name,
+                "data": _compare_files(latest / f"{name}.csv", reference / f"{name}.csv", _compare_data),
+                "picture": _compare_files(latest / f"{name}.png", reference / f"{name}.png", _compare_pictures)}
+               for name in names]
+    now, before = ({row["id"]: row["verdict"] for row in read_json(folder / "claims.json", [])}
+                   for folder in (latest, reference))
+    verdicts = [{"id": name, "reference": before[name], "latest": now[name]}
+                for name in sorted(now.keys() & before.keys(), key=order) if now[name] != before[name]]
+    comparison = {"results": results, "verdicts": verdicts}
+    write_json(latest / "comparison.json", comparison)
+    return comparison
+
+
+def _compare_files(ours: Path, theirs: Path, differ) -> str:
+    """One of: identical, what `differ` says, not made, no reference; empty for a table's missing picture."""
+    if not theirs.exists():
+        return "no reference" if ours.exists() else ""
+    if not ours.exists():
+        return "not made"
+    return "identical" if ours.read_bytes() == theirs.read_bytes() else differ(ours, theirs)
+
+
+def _compare_data(ours: Path, theirs: Path) -> str:
+    first, second = (list(csv.reader(path.read_text().splitlines())) for path in (ours, theirs))
+    if [len(row) for row in first] != [len(row) for row in second] or first[:1] != second[:1]:
+        return "other rows or columns"
+    worst, equal = 0.0, True
+    for one, other in zip(sum(first, []), sum(second, []), strict=True):
+        if one == other:
+            continue
+        try:
+            gap, size = abs(float(one) - float(other)), max(1.0, abs(float(other)))
+        except ValueError:
+            return f"other text: '{one}' for '{other}'"
+        equal = equal and gap <= 1e-9 * size
+        worst = math.inf if math.isnan(gap) else max(worst, gap)
+    return "equal within 1e-9" if equal else f"different by at most {worst:.3g}"
+
+
+def _compare_pictures(ours: Path, theirs: Path) -> str:
+    first, second = imread(ours), imread(theirs)
+    if first.shape != second.shape:
+        return "other size"
+    return f"{100 * (first != second).any(axis=-1).mean():.2g} % of its points differ"
+
+
+def comparison_lines(comparison: dict) -> list[str]:
+    """The comparison as a short table for the terminal; what is identical in data and picture is only counted."""
+    same = [row for row in comparison["results"] if row["data"] == "identical" and row["picture"] in ("identical", "")]
+    lines = [f"{len(same)} of {len(comparison['results'])} figures and tables are identical to the reference"]
+    lines += [f"  {row['id']:6} data: {row['data']}" + (f"; picture: {row['picture']}" if row["picture"] else "")
+              for row in comparison["results"] if row not in same]
+    lines += [f"  {row['id']:6} verdict: {row['reference']} -> {row['latest']}" for row in comparison["verdicts"]]
+    return lines
+
+
+def verdict_counts(claims: list[dict]) -> dict[str, int]:
+    """{"holds": 3, ...} over the rows of claims.json."""
+    return {verdict: sum(row["verdict"] == verdict for row in claims) for verdict in VERDICTS}
+
+
+def accept(latest: Path, reference: Path) -> int:
+    """Makes the results in `latest` the reference; chapters that are not in `latest` keep theirs. Returns how many."""
+    made = [path for pattern in ACCEPTED for path in sorted(latest.glob(pattern))]
+    if not made:
+        raise ReproductionError(f"there is nothing in {latest} to accept; run `./reproduce.sh run` first")
+    claims = read_json(latest / "claims.json", [])
+    chapters = {chapter_of(path.stem) for path in made} | {chapter_of(row["id"]) for row in claims}
+    reference.mkdir(parents=True, exist_ok=True)
+    for path in [path for pattern in ACCEPTED for path in reference.glob(pattern)]:
+        if chapter_of(path.stem) in chapters:
+            path.unlink()
+    for path in made:
+        shutil.copyfile(path, reference / path.name)
+    kept = [row for row in read_json(reference / "claims.json", []) if chapter_of(row["id"]) not in chapters]
+    write_json(reference / "claims.json", sorted(kept + claims, key=lambda row: order(row["id"])))
+    costs = read_json(reference / "unit_costs.json", {}) | read_json(latest / "unit_costs.json", {})
+    write_json(reference / "unit_costs.json", costs)
+    return len(made)
+
+
+def order(identifier: str) -> list:
+    """Sorts F4.9 before F4.10."""
+    return [int(part) if part.isdigit() else part for part in re.findall(r"\d+|\D+", identifier)]
