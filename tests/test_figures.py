@@ -1,0 +1,153 @@
+"""Figures and tables: the saved data are the drawn data, the bytes repeat, methods can be told apart."""
+
+import csv
+import os
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import matplotlib
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+from lifelong_lib.reproduction import figures, tables
+from lifelong_lib.reproduction.runs import ReproductionError
+
+matplotlib.use("Agg")
+
+DRAW = """
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+import numpy as np
+from lifelong_lib.reproduction import figures as f
+
+chapter = SimpleNamespace(number=4, folder=Path(sys.argv[1]))
+values = np.random.default_rng(0).normal(size=(6, 30))
+fig, axes = f.panels(2)
+axes[0].set(title="Spring-mass-damper", xlabel="iteration", ylabel="reward per step")
+rows = f.draw_curves(axes[0], range(1, 31), values, "TaDeLL") + f.draw_published(axes[0], [1, 30], [0.1, 0.2], "TaDeLL")
+rows += f.draw_bars(axes[1], ["SM", "CP"], {"PG": values[:, :2], "TaDeLL": values[:, 2:4]})
+f.shade_sides(axes[0], 8, "few", "many")
+f.legend(fig)
+f.save_figure(chapter, "F4.2", fig, rows)
+"""
+
+
+@pytest.fixture
+def chapter(tmp_path):
+    yield SimpleNamespace(number=4, profile="quick", seeds=6, folder=tmp_path / "latest")
+    plt.close("all")
+
+
+def read(path):
+    with path.open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_two_processes_write_the_same_bytes(tmp_path):
+    for name, hash_seed in (("one", "1"), ("two", "2")):
+        environment = os.environ | {"PYTHONHASHSEED": hash_seed, "MPLBACKEND": "Agg"}
+        subprocess.run([sys.executable, "-c", DRAW, tmp_path / name], check=True, env=environment)
+    names = sorted(path.name for path in (tmp_path / "one").iterdir())
+    assert names == ["F4.2.csv", "F4.2.png", "F4.2.svg"]
+    for name in names:
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes(), name
+    assert b"matplotlib.org" not in b"".join(path.read_bytes() for path in (tmp_path / "one").iterdir())
+
+
+def test_curve_shows_and_returns_mean_and_standard_error(chapter):
+    fig, (ax,) = figures.panels()
+    values = np.array([[1.0, 2.0], [3.0, 6.0]])
+    rows = figures.draw_curves(ax, [0, 1], values, "TaDeLL", label="ours")
+    assert [row["mean"] for row in rows] == [2.0, 4.0] == list(ax.lines[0].get_ydata())
+    assert [row["standard error"] for row in rows] == pytest.approx([1.0, 2.0])
+    band = ax.collections[0].get_paths()[0].vertices
+    assert band[:, 1].min() == pytest.approx(1.0) and band[:, 1].max() == pytest.approx(6.0)
+    assert {(row["series"], row["n"]) for row in rows} == {("ours", 2)}
+
+
+def test_bars_stand_side_by_side_and_carry_the_published_numbers(chapter):
+    fig, (ax,) = figures.panels()
+    rows = figures.draw_bars(ax, ["SM", "CP"], {"TaDeLL": np.ones((3, 2)), "PG": np.full((1, 2), 2.0)},
+                             published={"TaDeLL": [1.5, np.nan]}, label_of={"PG": "PG, trained"})
+    assert [bar.get_height() for bar in ax.patches] == [1.0, 1.0, 2.0, 2.0]
+    edges = sorted((bar.get_x(), bar.get_x() + bar.get_width()) for bar in ax.patches)
+    assert all(left[1] < right[0] for left, right in zip(edges, edges[1:], strict=False))
+    assert {row["series"] for row in rows} == {"TaDeLL", "published TaDeLL", "PG, trained"}
+    assert [row["mean"] for row in rows if row["x"] == "SM"] == [1.0, 1.5, 2.0]
+    assert [row["standard error"] for row in rows if row["n"] == 1] == [None, None]
+
+
+def test_legend_names_each_series_once_with_published_last(chapter):
+    fig, axes = figures.panels(2)
+    for ax in axes:
+        figures.draw_published(ax, [1], [1.0], "PG")
+        figures.draw_curves(ax, [1], [[1.0]], "PG")
+    figures.legend(fig)
+    assert [text.get_text() for text in fig.legends[0].get_texts()] == ["PG", "published"]
+
+
+def test_factors_show_every_cell_and_keep_exact_zeros(chapter):
+    fig, (ax,) = figures.panels()
+    left, code = np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([[0.5], [0.0]])
+    rows = figures.draw_factors(ax, [[("θ", left @ code), ("L", left), ("s", code)]], {"θ": ["a", "b"]})
+    assert [row["value"] for row in rows if row["panel"] == "L"] == [1.0, 2.0, 3.0, 4.0]
+    assert {"0", "0.50", "a", "b", "=", "×"} <= {text.get_text() for text in ax.texts}
+
+
+def test_heat_map_puts_the_number_of_a_cell_into_the_cell(chapter):
+    fig, (ax,) = figures.panels()
+    figures.heat_map(ax, [[1.0, -2.0]], "map", ["r"], ["u", "v"])
+    assert {text.get_text(): text.get_position() for text in ax.texts} == {"1.00": (0.5, 0.5), "−2.00": (1.5, 0.5)}
+
+
+def test_methods_differ_by_more_than_colour():
+    looks = figures.LOOKS.values()
+    assert len({look.marker for look in looks}) == len(looks)
+    with pytest.raises(ValueError, match="no look"):
+        figures.look_of("TaDELL")
+
+
+def test_global_style_is_left_alone(chapter):
+    before = dict(matplotlib.rcParams)
+    fig, (ax,) = figures.panels()
+    rows = figures.draw_curves(ax, [1, 2], np.ones((2, 2)), "PG")
+    figures.save_figure(chapter, "F4.2", fig, rows)
+    assert dict(matplotlib.rcParams) == before
+
+
+def test_files_of_a_figure_hold_every_digit_of_what_was_drawn(chapter):
+    fig, (ax,) = figures.panels()
+    ax.set(title="SM")
+    rows = figures.draw_curves(ax, [1], [[0.1], [0.2], [np.float32(0.3)]], "PG")
+    figures.save_figure(chapter, "F4.9", fig, rows)
+    (row,) = read(chapter.folder / "F4.9.csv")
+    assert row["panel"] == "SM" and float(row["mean"]) == rows[0]["mean"] == ax.lines[0].get_ydata()[0]
+    assert (chapter.folder / "F4.9.png").stat().st_size > 1000
+
+
+@pytest.mark.parametrize("identity", ["4.2", "F5.2", "T4.2", "F4.2/../x", "f4.2"])
+def test_ids_of_other_chapters_and_other_things_are_refused(chapter, identity):
+    fig, _ = figures.panels()
+    with pytest.raises(ReproductionError, match=r"use F4\.1"):
+        figures.save_figure(chapter, identity, fig, [{"x": 1}])
+
+
+@pytest.mark.parametrize("rows, message", [([], "no rows"), ([{"x": [1, 2]}], "column 'x'")])
+def test_rows_that_are_no_table_are_refused_before_anything_is_written(chapter, rows, message):
+    with pytest.raises(ReproductionError, match=message):
+        tables.save_table(chapter, "T4.1", rows)
+    assert not chapter.folder.exists()
+
+
+def test_table_is_saved_exactly_and_shown_readably(chapter):
+    rows = [{"system": "SM|x", "reward": -2.3671234, "n": np.int64(10)},
+            {"system": "<b>", "reward": np.nan, "note": None}]
+    table = tables.save_table(chapter, "T4.1", rows)
+    assert read(chapter.folder / "T4.1.csv")[0] == {"system": "SM|x", "reward": "-2.3671234", "n": "10", "note": ""}
+    text = (chapter.folder / "T4.1.md").read_text()
+    assert text.splitlines() == ["| system | reward | n | note |", "| --- | --- | --- | --- |",
+                                 "| SM\\|x | -2.367 | 10 |  |", "| <b> | – |  |  |"]
+    assert "<td>&lt;b&gt;</td>" in table._repr_html_() and table._repr_html_().count("<tr>") == 3
