@@ -1,0 +1,127 @@
+"""Where runs are computed: in this process, in worker processes of this machine (loky), or on a Dask cluster.
+
+All three do the same with a run, so that its numbers cannot depend on the place.
+"""
+
+import contextlib
+import itertools
+import os
+import re
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, wait
+
+import cloudpickle
+import numpy as np
+from joblib.externals.loky import get_reusable_executor
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from lifelong_lib.reproduction.fingerprint import ReproductionError, require
+
+
+def completed(experiment: Callable, calls: Mapping, backend: str, workers: int, address: str) -> Iterator[tuple]:
+    """(key, values, wall seconds) of every call, in order of completion. Closing it early stops the workers.
+
+    calls: key -> (label for errors, configuration, entropy of the SeedSequence); backend: loky or dask; workers:
+    number of processes, 1 with loky being this one; address: of a running Dask scheduler, "" for a cluster of our own.
+    """
+    blob = cloudpickle.dumps(experiment)  # by value: workers cannot import a notebook
+    if not calls or (backend == "loky" and workers == 1):
+        yield from ((key, *_compute(blob, *call)) for key, call in calls.items())
+        return
+    waiting, running = iter(calls.items()), {}
+    with _loky(workers) if backend == "loky" else _dask(workers, address) as (executor, size):
+
+        def submit(number):
+            for key, call in itertools.islice(waiting, number):
+                running[executor.submit(_compute, blob, *call)] = key
+
+        submit(2 * size)  # a short queue: loky trips over a long one when it is stopped early
+        while running:
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                key = running.pop(future)
+                submit(1)
+                yield key, *future.result()
+
+
+def _compute(blob, label, config, entropy) -> tuple[dict, float]:
+    """Values and wall seconds of one run, on one thread. An error gets the label, so that it says which run failed."""
+
+    def name_the_run(kind, error, trace):
+        if isinstance(error, Exception):
+            raise ReproductionError(f"{label}: {kind.__name__}: {' '.join(str(error).split())}") from error
+
+    with contextlib.ExitStack() as stack:
+        stack.push(name_the_run)
+        stack.enter_context(threadpool_limits(1))
+        if torch := sys.modules.get("torch"):
+            torch.set_num_threads(1)
+        start = time.perf_counter()
+        values = _arrays(cloudpickle.loads(blob)(dict(config), np.random.SeedSequence(entropy)))
+        seconds = time.perf_counter() - start
+        busy = [f"{pool['prefix']} {pool['num_threads']}" for pool in threadpool_info() if pool["num_threads"] > 1]
+        require(not busy, f"a run must use one thread, this one used more: {', '.join(busy)}")
+    return values, seconds
+
+
+def _arrays(values) -> dict[str, np.ndarray]:
+    """The values as arrays of numbers or texts in one memory layout; anything else is refused by its name."""
+    require(isinstance(values, dict) and values, f"it must return a dict of arrays and numbers, not {values!r}")
+    arrays = {}
+    for key, value in values.items():
+        require(isinstance(key, str) and re.fullmatch(r"[\w .+=-]+", key), f"{key!r} cannot be the name of a result")
+        with contextlib.suppress(ValueError, TypeError):  # e.g. lists of different lengths
+            arrays[key] = np.asarray(value, order="C")
+        good = key in arrays and arrays[key].dtype.kind in "biufcU"
+        require(good, f"result {key!r} ({type(value).__name__}) is not an array of numbers or texts")
+    return arrays
+
+
+@contextlib.contextmanager
+def _loky(workers):
+    """Worker processes on this machine, kept for the next grid, stopped at once after an error or Ctrl-C."""
+    pool = get_reusable_executor(workers, timeout=60, initializer=_prepare_worker)
+    with contextlib.ExitStack() as on_error:
+        on_error.callback(pool.shutdown, kill_workers=True)
+        try:
+            yield pool, workers
+        except BrokenExecutor as error:
+            message = "a worker process died (out of memory, or a crash in a simulator): fewer workers need less memory"
+            raise ReproductionError(message) from error
+        on_error.pop_all()
+
+
+def _prepare_worker():
+    """Leave Ctrl-C to the parent process, and end when that was killed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = os.getppid()
+
+    def watch():
+        while os.getppid() == parent:
+            time.sleep(0.5)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+@contextlib.contextmanager
+def _dask(workers, address):
+    """The cluster at the given address, or one of single-threaded processes on this machine."""
+    from distributed import Client, KilledWorker, LocalCluster  # slow to import, and rarely wanted
+
+    own = {"host": "127.0.0.1", "n_workers": workers, "threads_per_worker": 1, "dashboard_address": None}
+    with contextlib.ExitStack() as stack:
+        try:
+            where = address or stack.enter_context(LocalCluster(**own, silence_logs=50))
+            client = stack.enter_context(Client(where, timeout=10))
+        except (OSError, ValueError) as error:
+            raise ReproductionError(f"no Dask scheduler answers at {address}: start it, or use loky") from error
+        threads = set(client.nthreads().values())
+        require(threads == {1}, f"Dask at {address}: start workers with --nthreads 1, it has {threads or 'none'}")
+        try:
+            yield client.get_executor(), len(client.nthreads())
+        except KilledWorker as error:
+            raise ReproductionError("Dask workers died again and again (out of memory, or a crash)") from error

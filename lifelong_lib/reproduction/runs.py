@@ -1,0 +1,360 @@
+"""A grid of runs: computed in parallel, stored one by one, resumed, planned, audited.
+
+A notebook defines `experiment(config, seed) -> {name: array or number}` and asks for it over configurations and seeds:
+what this state of the code has stored is read, the rest is computed. Only this process writes. Every run draws from its
+own SeedSequence on one thread, so where and in which order runs are computed cannot change their numbers.
+"""
+
+import contextlib
+import errno
+import functools
+import json
+import math
+import os
+import re
+import subprocess
+import sys
+import time
+import zipfile
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from importlib import metadata
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from lifelong_lib.reproduction.backends import completed
+from lifelong_lib.reproduction.fingerprint import ReproductionError, changes, fingerprint, require, sha256
+
+ROOT = Path(os.environ.get("LIFELONG_ROOT") or Path(__file__).resolve().parents[2])
+PROFILES = ("smoke", "quick", "paper")
+PACKAGES = ("numpy", "scipy", "scikit-learn", "torch", "gymnasium", "pybullet", "libsumo")
+OPTIONS = {"backend": str, "address": str, "fresh": bool, "plan": str, "audit": int}
+
+
+class NotStored(ReproductionError):
+    """Runs are missing or stale, and this command (plan, why, audit) computes none."""
+
+
+@dataclass(frozen=True)
+class Chapter:
+    """A notebook's parameters. seeds = 0 stands for the profile's own number, which the notebook gives to run_grid.
+
+    Commands pass backend, address, fresh, plan (a file) and audit (a number) as JSON in the variable LIFELONG_OPTIONS.
+    """
+
+    number: int
+    profile: str
+    seeds: int
+    workers: int = 2
+    output_dir: str = ""
+    grids: dict = field(default_factory=dict, init=False, repr=False, compare=False)  # name -> what run_grid did
+
+    def __post_init__(self):
+        require(_whole(self.number, 1) and self.number <= 8, f"chapter {self.number!r} is not one of 1 to 8")
+        require(self.profile in PROFILES, f"profile {self.profile!r} is not one of {', '.join(PROFILES)}")
+        require(_whole(self.seeds), f"seeds must be a whole number, 0 or more, not {self.seeds!r}")
+        require(_whole(self.workers, 1), f"workers must be a whole number, 1 or more, not {self.workers!r}")
+        require(isinstance(self.output_dir, str), f"output_dir must be a text, not {self.output_dir!r}")
+        require(self.options.get("backend", "loky") in ("loky", "dask"), "the backend must be loky or dask")
+        require(self.options.get("audit", 1) > 0, "audit needs the number of runs to recompute, 1 or more")
+
+    @functools.cached_property
+    def options(self) -> dict:
+        """The command's options; empty in a notebook that was opened by hand."""
+        text = os.environ.get("LIFELONG_OPTIONS") or "{}"
+        try:
+            given = {key: value for key, value in json.loads(text).items() if value is not None}
+        except (ValueError, AttributeError):
+            raise ReproductionError(f"LIFELONG_OPTIONS must hold a JSON object, not {text!r}") from None
+        for key, value in given.items():
+            require(type(value) is OPTIONS.get(key), f"LIFELONG_OPTIONS: unknown or mistyped {key}={value!r}")
+        return given
+
+    @property
+    def folder(self) -> Path:
+        """Where figures, tables and claims go."""
+        return Path(self.output_dir) if self.output_dir else ROOT / "figures" / "latest" / self.profile
+
+    @property
+    def results(self) -> Path:
+        """Where raw results are stored."""
+        return ROOT / "data" / "results" / self.profile / f"ch{self.number:02d}"
+
+    def pick(self, *, smoke, quick, paper):
+        """The value for the current profile."""
+        return {"smoke": smoke, "quick": quick, "paper": paper}[self.profile]
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run: configuration, seed, values (name -> array, of shape () for a number), wall time [s]."""
+
+    config: dict
+    seed: int
+    values: dict
+    seconds: float
+
+
+class Results(Sequence):
+    """Runs in the order of the configurations, then of the seeds."""
+
+    def __init__(self, runs):
+        self._runs = tuple(runs)
+
+    def __len__(self):
+        return len(self._runs)
+
+    def __getitem__(self, index):
+        return self._runs[index]
+
+    def where(self, **config) -> "Results":
+        """The runs whose configuration has these entries; ReproductionError when there is none."""
+        found = [run for run in self if all(key in run.config and run.config[key] == config[key] for key in config)]
+        known = {key: list(dict.fromkeys(run.config.get(key) for run in self)) for key in config}
+        require(found, f"no run has {config}: the runs have {known}")
+        return Results(found)
+
+    def stack(self, key: str, **config) -> np.ndarray:
+        """One result of one configuration over all seeds, (n_seeds, ...), seeds ascending.
+
+        Raises ReproductionError when several configurations fit, the key is unknown, or shapes differ between seeds.
+        """
+        runs = sorted(self.where(**config), key=lambda run: run.seed)
+        fitting = list(dict.fromkeys(_canonical(run.config) for run in runs))
+        require(len(fitting) == 1, f"{len(fitting)} configurations fit {config}, e.g. {' and '.join(fitting[:2])}")
+        for run in runs:
+            require(key in run.values, f"no result {key!r} at {fitting[0]}, seed {run.seed}, only {list(run.values)}")
+        shapes = {run.values[key].shape for run in runs}
+        require(len(shapes) == 1, f"result {key!r} at {fitting[0]} has different shapes at different seeds: {shapes}")
+        return np.stack([run.values[key] for run in runs])
+
+
+def run_grid(chapter: Chapter, name: str, experiment: Callable, configs, seeds=None, makes=()) -> Results:
+    """Results of experiment(config, SeedSequence) for every configuration and seed: read when stored, else computed.
+
+    name: folder of the results, part of every SeedSequence. configs: flat dicts of JSON scalars. seeds: number or list,
+    default the chapter's. makes: ids of the figures, tables and claims that rest on these runs. Stale runs (made by
+    another state of the code) are recomputed at smoke and quick; paper keeps and counts them unless the option `fresh`
+    is given. Raises ReproductionError for bad arguments, a failing run, a full disk and Ctrl-C, and NotStored where the
+    options `plan` and `audit` forbid computing. Whatever was stored stays.
+    """
+    options, tasks = chapter.options, _tasks(chapter, name, configs, chapter.seeds if seeds is None else seeds)
+    parts = fingerprint(experiment)
+    stored = {path: found for path in tasks if (found := _read(path, *tasks[path], keep="plan" in options))}
+    runs = {path: run for path, (run, _) in stored.items()}
+    stale = {path: cause for path, (_, made_by) in stored.items() if (cause := changes(made_by, parts))}
+    redone = stale if chapter.profile != "paper" or options.get("fresh") else {}
+    todo = {path: task for path, task in tasks.items() if path not in runs or path in redone}
+    causes = Counter(cause for found in stale.values() for cause in found)
+    grid = {"chapter": chapter.number, "name": name, "makes": list(makes), "wanted": len(tasks), "causes": causes}
+    if "plan" in options:
+        _plan(chapter, grid, runs, stale, todo)
+    elif "audit" in options:
+        _audit(chapter, name, experiment, tasks, runs, stale)
+    else:
+        start = time.perf_counter()
+        runs |= _compute_and_store(chapter, name, experiment, todo, parts)
+        kept = len(stale) - len(redone)
+        grid |= {"computed": len(todo), "read": len(tasks) - len(todo), "stale": kept, "workers": chapter.workers}
+        grid |= {"seconds": time.perf_counter() - start}
+        grid |= {"seconds_per_run": float(np.mean([run.seconds for run in runs.values()]))}
+        if kept:
+            cause = f"made by another state of the code ({', '.join(causes)})"
+            _warn(f"{kept} of {len(tasks)} runs of '{name}' were {cause}: kept and counted, --fresh recomputes them")
+        chapter.grids[name] = grid
+        write_atomically(chapter.folder / "runs" / f"{chapter.results.name}-{name}.json", _json(grid))
+    return Results(runs[path] for path in tasks)
+
+
+def run_card(chapter: Chapter) -> str:
+    """What a chapter is made with, a line each: profile, seeds, workers, backend, commit, versions; no date."""
+    git = ["git", "-C", str(ROOT), "describe", "--always", "--dirty"]
+    commit = "unknown"
+    with contextlib.suppress(OSError, subprocess.CalledProcessError):
+        commit = subprocess.run(git, capture_output=True, text=True, check=True).stdout.strip()
+    card = {"profile": chapter.profile, "seeds": chapter.seeds or "as the profile says", "workers": chapter.workers}
+    card |= {"backend": chapter.options.get("backend", "loky"), "commit": commit}
+    card["versions"] = ", ".join(f"{package} {version}" for package, version in _versions().items())
+    if stale := sum(grid["stale"] for grid in chapter.grids.values()):
+        card["stale"] = f"{stale} of {sum(grid['wanted'] for grid in chapter.grids.values())} runs"
+    return "\n".join(f"{key + ':':10}{value}" for key, value in card.items())
+
+
+def write_atomically(path: Path, data: bytes | str) -> None:
+    """Write a file whole or not at all. Raises ReproductionError when the disk is full or refuses."""
+    part = path.with_name(path.name + ".part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part.write_bytes(data.encode() if isinstance(data, str) else data)
+        os.replace(part, path)
+    except OSError as error:
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+        cause = "the disk is full, free some space" if full else f"{error.strerror}, check the folder"
+        raise ReproductionError(f"cannot write {path}: {cause} and run again; what was stored is kept") from error
+    finally:
+        with contextlib.suppress(OSError):
+            part.unlink()
+
+
+def _append(path: Path, rows: list[dict]):
+    before = path.read_text(encoding="utf-8") if path.exists() else ""
+    write_atomically(path, before + "".join(json.dumps(row, sort_keys=True) + "\n" for row in rows))
+
+
+def _json(value) -> str:
+    return json.dumps(value, indent=1, sort_keys=True) + "\n"
+
+
+def _warn(message: str):
+    print(f"warning: {message}", file=sys.stderr)  # warnings.warn would put this machine's paths into the notebook
+
+
+def _whole(value, least: int = 0) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= least
+
+
+def _versions() -> dict[str, str]:
+    found = {"python": sys.version.split()[0]}
+    for package in PACKAGES:
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            found[package] = metadata.version(package)
+    return found
+
+
+def _tasks(chapter, name, configs, seeds) -> dict[Path, tuple[dict, int]]:
+    """File of every wanted run -> (configuration, seed), in the order of configurations, then seeds."""
+    require(re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name), f"grid name {name!r} may hold letters, digits, - and _")
+    seeds = range(seeds) if _whole(seeds) else seeds
+    good = isinstance(seeds, (list, tuple, range)) and all(map(_whole, seeds)) and len(set(seeds)) == len(seeds) > 0
+    require(good, f"seeds of '{name}' must be a number above 0 or a list of different whole numbers, not {seeds!r}")
+    require(configs, f"grid '{name}' has no configurations")
+    names = Counter(_file_name(config).lower() for config in configs)  # some file systems ignore the case
+    twice = [text for text, number in names.items() if number > 1]
+    require(not twice, f"grid '{name}' has a configuration twice (or two that differ in case only): {twice}")
+    folder = chapter.results / name
+    pairs = [(config, seed) for config in configs for seed in sorted(seeds)]
+    return {folder / f"{_file_name(config)}-s{seed}.npz": (dict(config), seed) for config, seed in pairs}
+
+
+def _canonical(config) -> str:
+    """One text per configuration, whatever the order of its entries; it must be flat and plain."""
+    require(isinstance(config, dict), f"a configuration must be a dict, not {config!r}")
+    for key, value in config.items():
+        require(isinstance(key, str) and key.isascii() and key.isidentifier(), f"configuration entry {key!r}: no name")
+        plain = math.isfinite(value) if isinstance(value, float) else value is None or isinstance(value, (int, str))
+        require(plain, f"configuration entry {key}={value!r} must be a number, a text, True, False or None")
+    return json.dumps(config, sort_keys=True)
+
+
+def _file_name(config) -> str:
+    """Readable name, e.g. domain=cart-pole,tasks=40, with a digest where that could mean another configuration too."""
+    text = _canonical(config)
+    words = {key: value if isinstance(value, str) else json.dumps(value) for key, value in sorted(config.items())}
+    name = ",".join(f"{key}={re.sub('[^A-Za-z0-9_.+-]', '_', word)}" for key, word in words.items()) or "run"
+    sure = r"(?!(true|false|null)$)[A-Za-z][A-Za-z0-9_.+-]*"  # a text "1" must not be taken for the number 1
+    exact = all(re.fullmatch(sure, value) for value in config.values() if isinstance(value, str))
+    return name if exact and len(name) <= 120 else f"{name[:100]}~{sha256(text)[:16]}"
+
+
+def _read(path, config, seed, keep) -> tuple[Run, dict] | None:
+    """A stored run and the fingerprint it was made by. A damaged one is named and, unless keep, set aside."""
+    record_path = path.with_suffix(".json")
+    if not record_path.exists():
+        return None
+    try:
+        record, data = json.loads(record_path.read_bytes()), path.read_bytes()
+        require(sha256(data) == record["sha256"], "its bytes are not those that were written")
+        require((_canonical(record["config"]), record["seed"]) == (_canonical(config), seed), "it holds another run")
+        with np.load(BytesIO(data), allow_pickle=False) as arrays:
+            return Run(config, seed, dict(arrays), float(record["seconds"])), dict(record["fingerprint"])
+    except (ValueError, KeyError, TypeError, FileNotFoundError) as error:
+        _warn(f"stored run {path} is damaged and not used: {error}")
+    for file in (path, record_path):
+        if file.exists() and not keep:
+            os.replace(file, f"{file}.damaged")
+
+
+def _npz(values) -> bytes:
+    """An npz file with the same bytes for the same values: names sorted, no dates, no pickle."""
+    buffer = BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for key in sorted(values):
+            with archive.open(zipfile.ZipInfo(f"{key}.npy"), "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, values[key], allow_pickle=False)
+    return buffer.getvalue()
+
+
+def _compute_and_store(chapter, name, experiment, tasks, parts) -> dict[Path, Run]:
+    """Compute runs and store each as it comes. A run counts once its record is there: half a pair is never read."""
+    done, versions, title = {}, _versions(), f"{chapter.results.name} {name}"
+    try:
+        with contextlib.closing(_completed(chapter, name, experiment, tasks)) as results, _bar(title, tasks) as bar:
+            for path, values, seconds in results:
+                config, seed = tasks[path]
+                data, record = _npz(values), {"chapter": chapter.number, "name": name, "config": config, "seed": seed}
+                record |= {"seconds": seconds, "versions": versions, "fingerprint": parts, "sha256": sha256(data)}
+                path.with_suffix(".json").unlink(missing_ok=True)
+                write_atomically(path, data)
+                write_atomically(path.with_suffix(".json"), _json(record))
+                done[path] = Run(config, seed, values, seconds)
+                bar.update()
+    except KeyboardInterrupt:
+        message = f"interrupted: {len(done)} of {len(tasks)} runs of '{name}' are stored, run again for the rest"
+        raise ReproductionError(message) from None
+    return done
+
+
+def _bar(title, tasks):
+    """Progress with the time left, on this process's own standard error: a notebook must not keep it in its outputs."""
+    own = getattr(sys.stderr, "_original_stdstream_copy", None)  # where ipykernel keeps it
+    stream = sys.__stderr__ if own is None else open(own, "w", closefd=False)
+    pace = {"ascii": False, "mininterval": 0.5} if stream.isatty() else {"ascii": True, "mininterval": 15}
+    return tqdm(total=len(tasks), desc=title, unit="run", file=stream, disable=not tasks, **pace)
+
+
+def _plan(chapter, grid, runs, stale, todo):
+    """Append what this grid would compute, and the seconds it would take; NotStored if that is anything."""
+    costs = ROOT / "figures" / "reference" / chapter.profile / "unit_costs.json"
+    each = np.mean([run.seconds for run in runs.values()]) if runs else None
+    if each is None and costs.exists():
+        each = json.loads(costs.read_text(encoding="utf-8")).get(f"{chapter.results.name}/{grid['name']}")
+    seconds = 0.0 if not todo else None if each is None else float(each) * math.ceil(len(todo) / chapter.workers)
+    grid |= {"stored": len(runs) - len(stale), "stale": len(stale), "missing": grid["wanted"] - len(runs)}
+    _append(Path(chapter.options["plan"]), [grid | {"seconds": seconds}])
+    if todo:
+        raise NotStored(f"{len(todo)} of {grid['wanted']} runs of '{grid['name']}' are missing or stale")
+
+
+def _audit(chapter, name, experiment, tasks, runs, stale):
+    """Recompute this grid's share of K stored runs drawn from the whole chapter; the verdicts go to audit.jsonl."""
+    if missing := len(tasks) - len(runs):
+        raise NotStored(f"{missing} of {len(tasks)} runs of '{name}' are not stored: run the chapter before its audit")
+    drawn, rows = _drawn(chapter.results, chapter.options["audit"]), []
+    share = {path: task for path, task in tasks.items() if path in drawn}
+    for path, values, _ in _completed(chapter, name, experiment, share):
+        old, new = ({key: _npz({"": array}) for key, array in found.items()} for found in (runs[path].values, values))
+        differs = sorted(key for key in old.keys() | new.keys() if old.get(key) != new.get(key))
+        row = {"chapter": chapter.number, "name": name, "run": path.stem, "same": not differs, "differs": differs}
+        rows.append(row | {"stale": path in stale})
+    _append(chapter.folder / "audit.jsonl", sorted(rows, key=lambda row: row["run"]))
+
+
+@functools.cache  # drawn once, before the first grid, for all grids of a chapter
+def _drawn(results, number) -> set[Path]:
+    files = sorted(results.glob("*/*.npz"))
+    return {files[i] for i in np.random.default_rng(number).permutation(len(files))[:number]}
+
+
+def _completed(chapter, name, experiment, tasks):
+    """(path, values, seconds) of every task in order of completion."""
+    calls = {}
+    for path, (config, seed) in tasks.items():
+        text = _canonical(config)
+        entropy = int(sha256(json.dumps([chapter.number, name, text, seed])), 16)
+        calls[path] = (f"experiment '{name}' failed at {text}, seed {seed}", config, entropy)
+    options = chapter.options
+    return completed(experiment, calls, options.get("backend", "loky"), chapter.workers, options.get("address", ""))
