@@ -1,0 +1,257 @@
+"""Roll-outs as rerun recordings: several policies on one system, side by side, and a still picture of the same moments.
+
+Recordings are logged in whole columns and without wall-clock times, so that equal roll-outs pass `compare_recordings`,
+although the bytes of their files differ (rerun writes fresh ids into each).
+"""
+
+import itertools
+import os
+import re
+import subprocess
+import sys
+import textwrap
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from matplotlib import colors, style
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.figure import Figure
+from rerun.archetypes import RecordingInfo
+from rerun.chunk import RrdReader
+from scipy.spatial.transform import Rotation
+
+from lifelong_lib.reproduction.runs import Chapter, ReproductionError
+
+_CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])  # of the box of half size 1
+_FACES = np.array([[0, 1, 3, 2], [4, 5, 7, 6], [0, 1, 5, 4], [2, 3, 7, 6], [0, 2, 6, 4], [1, 3, 7, 5]])
+_REACH = 2  # views end so many body sizes from the start: one runaway must not shrink the others
+_MOMENTS = 9  # overlaid in the still picture
+_LINE_STYLES = ("-", "--", "-.", ":")  # besides the colours, for grey print
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One roll-out of H steps of one policy, as things to draw (metres, z upwards).
+
+    colour: of all that moves and of the lines over time; any colour matplotlib knows.
+    parts: {name: (H+1, n >= 2, 3)}, polylines that move.
+    boxes: {name: (centres (H+1, 3), half sizes (3,), rotations (H+1, 4) as quaternions xyzw, or None)}.
+    series: {name: (H+1,)}, values over time.
+    fixed: {name: (n >= 2, 3)}, grey polylines that stay: a rail, a target.
+    outcome: a few words for the title, such as "falls after 0.8 s".
+    """
+
+    colour: str
+    parts: dict = field(default_factory=dict)
+    boxes: dict = field(default_factory=dict)
+    series: dict = field(default_factory=dict)
+    fixed: dict = field(default_factory=dict)
+    outcome: str = ""
+
+    def faces(self):
+        """The six faces (H+1, 6, 4, 3) of every box."""
+        for centres, half_sizes, rotations in self.boxes.values():
+            turns = np.eye(3) if rotations is None else Rotation.from_quat(rotations).as_matrix()
+            yield (_CORNERS * half_sizes @ np.swapaxes(turns, -1, -2) + np.asarray(centres)[:, None])[:, _FACES]
+
+    def points(self):
+        """Every point (H+1, n, 3) that moves."""
+        moving = [*map(np.asarray, self.parts.values()), *self.faces()]
+        return np.concatenate([points.reshape(len(points), -1, 3) for points in moving], axis=1)
+
+
+def save_recording(chapter: Chapter, name: str, scenes: dict[str, Scene], seconds_per_step: float,
+                   series_units: dict[str, str], caption: str, seen_from: tuple = (0, -1, 0)) -> Path:
+    """Write `<chapter.folder>/recordings/<name>.rrd`, verified by rerun, and a still picture `<name>.png` beside it.
+
+    scenes: {title: Scene}, equally long, with the same series; shown side by side on one timeline of simulated seconds.
+    series_units: {series name: unit}; one plot over time each, with one line a scene.
+    caption: what one should see, and what in it is a stand-in.
+    seen_from: direction from the scene towards the viewer, not vertical; (0, -1, 0): x to the right, z upwards.
+
+    Returns the path of the .rrd. Raises ReproductionError for scenes that cannot be drawn (wrong shapes, values that
+    are not finite) and when the files cannot be written; an earlier recording of this name then stays as it was.
+    """
+    if not re.fullmatch(r"[\w-]+", name):
+        raise ReproductionError(f"recording name {name!r}: use letters, digits, '-' and '_' only")
+    if not 0 < seconds_per_step < np.inf:
+        raise ReproductionError(f"recording {name!r}: seconds_per_step is {seconds_per_step}; give a positive number")
+    if not 0 < np.hypot(*seen_from[:2]) < np.inf:
+        raise ReproductionError(f"recording {name!r}: seen_from is {seen_from}; give a direction that is not vertical")
+    _check(name, scenes, series_units)
+    shown = (scenes, seconds_per_step, series_units, caption, np.array(seen_from) / np.linalg.norm(seen_from))
+    path = chapter.folder / "recordings" / f"{name}.rrd"
+    recording, still = (path.with_name(name + ending) for ending in (".rrd.part", ".png.part"))
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _write_recording(recording, name, *shown)
+        verify_recording(recording)
+        _write_still(still, *shown)
+        os.replace(recording, path)
+        os.replace(still, path.with_suffix(".png"))
+    except (OSError, RuntimeError) as error:  # rerun reports a full disk as RuntimeError
+        raise ReproductionError(f"cannot write {path} ({error}); is there space, may you write there?") from error
+    finally:
+        for unfinished in filter(Path.exists, (recording, still)):
+            unfinished.unlink()
+    return path
+
+
+def verify_recording(path: Path) -> None:
+    """Have rerun read the file to its end; ReproductionError if it is missing, cut short, garbled or no recording.
+
+    A changed number inside a well-formed file passes: only compare_recordings sees that.
+    """
+    result = _rerun("verify", path)
+    if result.returncode or "1 file verified" not in result.stderr:  # an empty file passes as "0 files verified"
+        reason = result.stderr.partition("\n")[0][:160]
+        raise ReproductionError(f"recording {path} cannot be read ({reason}); run its chapter again")
+
+
+def compare_recordings(first: Path, second: Path) -> bool:
+    """Whether two recordings hold exactly the same values at the same times; layout and ids may differ.
+
+    Whatever is equal here also passes `rerun rrd compare`, which forgives differences in the seventh digit.
+    """
+    verify_recording(first)
+    verify_recording(second)
+    return _values(first) == _values(second)
+
+
+def _values(path):
+    """{(entity, static or not): its columns without the row ids, which no two recordings share}."""
+    return {(chunk.entity_path, chunk.is_static): chunk.to_record_batch().drop_columns(["rerun.controls.RowId"])
+            for chunk in RrdReader(path).stream()}
+
+
+def _rerun(command, *paths):
+    # rerun_cli's own `python -m` always exits with 0, whatever it found. With CI set, no usage statistics are sent.
+    main = "import sys; from rerun_cli.__main__ import main; sys.exit(main())"
+    quiet = {key: value for key, value in os.environ.items() if key != "FORCE_RERUN_ANALYTICS"} | {"CI": "1"}
+    return subprocess.run([sys.executable, "-c", main, "rrd", command, *map(str, paths)], env=quiet, text=True,
+                          capture_output=True, check=False)
+
+
+def _check(name, scenes, series_units):
+    """ReproductionError unless every array of every scene is finite and all fit together."""
+    if not scenes or not series_units:
+        raise ReproductionError(f"recording {name!r}: give at least one scene, {{title: Scene(...)}}, and one series")
+    moments = None
+    for title, scene in scenes.items():
+        where = f"recording {name!r}, scene {title!r}"
+        if not (scene.parts or scene.boxes) or set(scene.series) != set(series_units):
+            raise ReproductionError(f"{where}: give a part or box to draw, and exactly the series {list(series_units)}")
+        arrays = {f"series {key!r}": (values, "H+1") for key, values in scene.series.items()}
+        arrays |= {f"part {key!r}": (points, "H+1", "n", 3) for key, points in scene.parts.items()}
+        arrays |= {f"fixed {key!r}": (line, "n", 3) for key, line in scene.fixed.items()}
+        for key, (centres, half_sizes, turns) in scene.boxes.items():
+            arrays |= {f"centres of box {key!r}": (centres, "H+1", 3), f"half sizes of box {key!r}": (half_sizes, 3)}
+            arrays |= {} if turns is None else {f"rotations of box {key!r}": (turns, "H+1", 4)}
+        for what, (values, *wanted) in arrays.items():
+            try:
+                array = np.asarray(values, dtype=float)
+            except (TypeError, ValueError):
+                raise ReproductionError(f"{where}, {what}: not an array of numbers") from None
+            moments = moments or array.size  # the first series says how long all have to be
+            wanted = [moments if length == "H+1" else length for length in wanted]
+            pairs = zip(array.shape, wanted, strict=False)
+            if len(wanted) != array.ndim or any(have < 2 or want not in (have, "n") for have, want in pairs):
+                raise ReproductionError(f"{where}, {what}: shape {array.shape}, wanted ({', '.join(map(str, wanted))})")
+            if not np.isfinite(array).all():
+                row = np.argwhere(~np.isfinite(array))[0][0]
+                raise ReproductionError(f"{where}, {what}: not finite at row {row}; end all roll-outs before that")
+
+
+def _window(points):
+    """Low and high corner (d,) of what the views show of points (H+1, n, d): not what goes far beyond the start."""
+    low, high = points[0].min(axis=0), points[0].max(axis=0)
+    reach = _REACH * (high - low).max()
+    return np.maximum(points.min(axis=(0, 1)), low - reach), np.minimum(points.max(axis=(0, 1)), high + reach)
+
+
+def _write_recording(path, name, scenes, seconds_per_step, series_units, caption, backwards):
+    moments = len(next(iter(scenes.values())).points())
+    times = [rr.TimeColumn("time", duration=np.arange(moments) * seconds_per_step)]
+    # Only send_columns: rows logged one by one are cut into chunks by the wall clock, and no two files compare equal.
+    with rr.RecordingStream(f"lifelong_lib {name}", send_properties=False) as recording:
+        recording.save(path, default_blueprint=_layout(name, scenes, series_units, backwards))
+
+        def send(kind, *names, static, moving=None):
+            entity = "/".join(["", kind, *map(rr.escape_entity_path_part, names)])
+            recording.send_columns(entity, [], static, strict=True)
+            if moving is not None:
+                recording.send_columns(entity, times, moving, strict=True)
+
+        recording.send_columns(rr.RECORDING_PROPERTIES_PATH, [], RecordingInfo.columns(name=[name]), strict=True)
+        send("caption", static=rr.TextDocument.columns(text=[caption]))
+        for title, scene in scenes.items():
+            colour = [[round(255 * share) for share in colors.to_rgb(scene.colour)]]
+            for key, line in scene.fixed.items():
+                send("scenes", title, "fixed", key, static=rr.LineStrips3D.columns(strips=[line]))
+            for key, points in scene.parts.items():
+                send("scenes", title, "parts", key, moving=rr.LineStrips3D.columns(strips=list(points)),
+                     static=rr.LineStrips3D.columns(colors=colour, radii=rr.Radius.ui_points([2.5])))
+            for key, (centres, half_sizes, turns) in scene.boxes.items():
+                send("scenes", title, "boxes", key, moving=rr.Boxes3D.columns(centers=centres, quaternions=turns),
+                     static=rr.Boxes3D.columns(half_sizes=[half_sizes], colors=colour, fill_mode=["solid"]))
+            for key, values in scene.series.items():
+                send("series", key, title, moving=rr.Scalars.columns(scalars=values),
+                     static=rr.SeriesLines.columns(names=[title], colors=colour, widths=[2]))
+    recording.disconnect()
+
+
+def _layout(name, scenes, series_units, backwards):
+    """The viewer's windows: a 3-D view a scene, all with the same camera; below them the series and the caption."""
+    low, high = _window(np.concatenate([scene.points() for scene in scenes.values()], axis=1))
+    middle = (low + high) / 2
+    camera = rrb.EyeControls3D(position=middle + 1.2 * np.linalg.norm(high - low) * backwards, look_target=middle)
+    views = [rrb.Spatial3DView(origin=f"/scenes/{rr.escape_entity_path_part(title)}", eye_controls=camera,
+                               name=f"{title}: {scene.outcome}" if scene.outcome else title)
+             for title, scene in scenes.items()]
+    plots = [rrb.TimeSeriesView(origin=f"/series/{rr.escape_entity_path_part(key)}", name=f"{key} [{unit}]")
+             for key, unit in series_units.items()]
+    below = rrb.Horizontal(*plots, rrb.TextDocumentView(origin="/caption", name=name))
+    return rrb.Blueprint(rrb.Vertical(rrb.Grid(*views), below, row_shares=[3, 2]),
+                         rrb.TimePanel(timeline="time", loop_mode="all"), auto_views=False, collapse_panels=True)
+
+
+def _write_still(path, scenes, seconds_per_step, series_units, caption, backwards):
+    right = np.cross([0, 0, 1], backwards) / np.linalg.norm(backwards[:2])
+    camera = np.stack([right, np.cross(backwards, right)], axis=1)  # (3, 2), parallel projection
+    low, high = _window(np.concatenate([scene.points() @ camera for scene in scenes.values()], axis=1))
+    margin = 0.05 * max(high - low)
+    (left, bottom), (right, top) = low - margin, high + margin
+    heights = [np.clip(10 / len(scenes) * (top - bottom) / (right - left), 1.5, 5) + 0.7, 2.6]  # [inch]
+    with style.context("default"):
+        figure = Figure(figsize=(10, sum(heights) + 0.4), layout="constrained")
+        upper, lower = figure.subfigures(2, 1, height_ratios=heights)
+        views = upper.subplots(1, len(scenes), squeeze=False)[0]
+        plots = lower.subplots(1, len(series_units), squeeze=False)[0]
+        for view, line_style, (title, scene) in zip(views, itertools.cycle(_LINE_STYLES), scenes.items(), strict=False):
+            view.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xticks=[], yticks=[], xlabel=scene.outcome)
+            view.set_title(title, color=scene.colour, fontweight="bold")
+            _draw_moments(view, scene, camera)
+            for plot, (key, unit) in zip(plots, series_units.items(), strict=True):
+                times = np.arange(len(scene.series[key])) * seconds_per_step
+                plot.plot(times, scene.series[key], color=scene.colour, linestyle=line_style, label=title)
+                plot.set(xlim=(0, times[-1]), xlabel="time [s]", ylabel=f"{key} [{unit}]")
+        plots[0].legend(fontsize=8, frameon=False)
+        caption += f" Upper row: views {right - left:.2g} m wide, pale at the start, dark after {times[-1]:g} s."
+        figure.supxlabel(textwrap.fill(caption, 150), fontsize=8)
+        figure.savefig(path, format="png", dpi=120, metadata={"Software": None})  # a version would change the bytes
+
+
+def _draw_moments(axes, scene, camera):
+    for line in scene.fixed.values():
+        axes.plot(*(np.asarray(line) @ camera).T, color="0.8", zorder=0)
+    own = np.array(colors.to_rgb(scene.colour))
+    for order, moment in enumerate(np.linspace(0, len(scene.points()) - 1, _MOMENTS).round().astype(int)):
+        strength = 0.15 + 1.05 * (order / (_MOMENTS - 1)) ** 2  # 0: white, 1: the scene's colour, above: darker
+        colour = [1 - strength * (1 - own) if strength < 1 else own * (2 - strength)]
+        boxes = [face @ camera for faces in scene.faces() for face in faces[moment]]
+        lines = [np.asarray(points)[moment] @ camera for points in scene.parts.values()]
+        axes.add_collection(PolyCollection(boxes, facecolors=colour, edgecolors=colour, zorder=order))
+        axes.add_collection(LineCollection(lines, colors=colour, linewidths=2, zorder=order))

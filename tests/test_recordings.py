@@ -1,0 +1,224 @@
+"""Recordings hold exactly what was handed in, compare equal when it was equal, and refuse what cannot be drawn."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+from rerun.chunk import RrdReader
+
+from lifelong_lib.reproduction import recordings
+from lifelong_lib.reproduction.recordings import Scene, compare_recordings, save_recording, verify_recording
+from lifelong_lib.reproduction.runs import Chapter, ReproductionError
+
+STEP = 0.05  # [s]
+UNITS = {"pole angle": "rad", "cart position": "m"}
+QUARTER_TURN = np.array([0, 0, np.sqrt(0.5), np.sqrt(0.5)])  # about z, as xyzw
+
+
+def pendulum(angle, colour, **more):
+    """A pole of 1 m on a cart; angle: (H+1,) radians from upright."""
+    position = 0.1 * np.sin(angle)
+    foot = np.stack([position, 0 * angle, 0 * angle], axis=1)
+    tip = foot + np.stack([np.sin(angle), 0 * angle, np.cos(angle)], axis=1)
+    turns = np.tile(QUARTER_TURN, (len(angle), 1))
+    return Scene(colour=colour, parts={"pole": np.stack([foot, tip], axis=1)},
+                 boxes={"cart": (foot, (0.1, 0.2, 0.05), None), "turned cart": (foot, (0.1, 0.2, 0.05), turns)},
+                 series={"pole angle": angle, "cart position": position}, **more)
+
+
+def two_scenes(moments=21):
+    times = np.arange(moments) * STEP
+    rail = {"rail": [(-2, 0, 0), (2, 0, 0)]}
+    return {"random": pendulum(0.1 * np.exp(2 * times), "#666666", outcome="falls", fixed=rail),
+            "zero-shot": pendulum(0.1 * np.exp(-times), "#0072B2")}
+
+
+def save(folder, scenes, caption="Watch the pole.", **more):
+    chapter = Chapter(4, profile="smoke", seeds=1, output_dir=str(folder))
+    return save_recording(chapter, "cart-pole", scenes, STEP, UNITS, caption, **more)
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    return save(tmp_path_factory.mktemp("saved"), two_scenes())
+
+
+def chunks_of(path):
+    """{(entity, static): chunk}; a second chunk of the same kind would be a fault of the logging."""
+    chunks = list(RrdReader(path).stream())
+    found = {(chunk.entity_path, chunk.is_static): chunk for chunk in chunks}
+    assert len(found) == len(chunks)
+    return found
+
+
+def test_recording_holds_exactly_the_expected_entities_and_rows(saved):
+    assert saved.name == "cart-pole.rrd" and saved.parent.name == "recordings"
+    assert sorted(file.name for file in saved.parent.iterdir()) == ["cart-pole.png", "cart-pole.rrd"]
+    moving = {f"/scenes/{title}/{thing}" for title in two_scenes()
+              for thing in ("parts/pole", "boxes/cart", "boxes/turned\\ cart")}
+    moving |= {f"/series/{series}/{title}" for title in two_scenes() for series in ("pole\\ angle", "cart\\ position")}
+    once = moving | {"/caption", "/__properties", "/scenes/random/fixed/rail"}
+    rows = {key: chunk.num_rows for key, chunk in chunks_of(saved).items()}
+    assert rows == {(entity, True): 1 for entity in once} | {(entity, False): 21 for entity in moving}
+
+
+def test_values_and_times_come_back_unchanged(saved):
+    scenes, chunks = two_scenes(), chunks_of(saved)
+    angle = chunks["/series/pole\\ angle/random", False].to_record_batch().to_pydict()
+    assert np.array_equal(np.ravel(angle["Scalars:scalars"]), scenes["random"].series["pole angle"])
+    assert np.allclose([time.total_seconds() for time in angle["time"]], np.arange(21) * STEP, atol=1e-9)
+    pole = chunks["/scenes/zero-shot/parts/pole", False].to_record_batch().to_pydict()["LineStrips3D:strips"]
+    assert np.allclose(np.array(pole)[:, 0], scenes["zero-shot"].parts["pole"], atol=1e-6)
+    colour = chunks["/scenes/zero-shot/parts/pole", True].to_record_batch().to_pydict()["LineStrips3D:colors"]
+    assert colour == [[0x0072B2FF]]
+    turned = chunks["/scenes/random/boxes/turned\\ cart", False].to_record_batch().to_pydict()
+    assert np.allclose(turned["Boxes3D:quaternions"], QUARTER_TURN, atol=1e-6)
+
+
+def test_layout_has_a_view_per_scene_and_series_and_travels_in_the_file(saved):
+    (blueprint,) = RrdReader(saved).blueprints()
+    batches = [chunk.to_record_batch() for chunk in RrdReader(saved).stream(store=blueprint)]
+    column = "ViewBlueprint:display_name"
+    names = {batch.column(column)[0].as_py()[0] for batch in batches if column in batch.schema.names}
+    assert names == {"random: falls", "zero-shot", "pole angle [rad]", "cart position [m]", "cart-pole"}
+
+
+def test_equal_roll_outs_give_equal_recordings_and_the_same_picture_bytes(saved, tmp_path):
+    again = save(tmp_path, two_scenes())
+    assert compare_recordings(saved, again)
+    assert recordings._rerun("compare", saved, again).returncode == 0
+    assert saved.with_suffix(".png").read_bytes() == again.with_suffix(".png").read_bytes()
+
+
+@pytest.mark.parametrize("what", ["value", "last digit", "colour", "caption"])
+def test_any_change_makes_recordings_differ(saved, tmp_path, what):
+    scenes, caption = two_scenes(), "Watch the pole."
+    if what == "value":
+        scenes["random"].parts["pole"][7, 1, 2] += 0.01
+    if what == "last digit":
+        scenes["random"].series["pole angle"][7] += 1e-15
+    if what == "colour":
+        scenes["random"] = replace(scenes["random"], colour="red")
+    if what == "caption":
+        caption = "Watch the cart."
+    changed = save(tmp_path, scenes, caption)
+    assert not compare_recordings(saved, changed)
+    assert what == "last digit" or recordings._rerun("compare", saved, changed).returncode == 1  # rerun rounds
+
+
+def test_faces_of_a_turned_box_have_swapped_extents():
+    plain, turned = two_scenes()["random"].faces()
+    assert np.allclose(np.ptp(plain[3].reshape(-1, 3), axis=0), [0.2, 0.4, 0.1])
+    assert np.allclose(np.ptp(turned[3].reshape(-1, 3), axis=0), [0.4, 0.2, 0.1])
+    for face in plain[0]:  # its corners are in an order that goes round: each edge is at right angles to the next
+        edges = np.roll(face, -1, axis=0) - face
+        assert np.allclose(np.sum(edges * np.roll(edges, -1, axis=0), axis=1), 0)
+
+
+def test_views_show_all_that_moves_but_do_not_follow_a_runaway():
+    points = np.zeros((3, 2, 2))
+    points[:, 1] = 1.0  # a body of size 1 ...
+    points[1] += 0.5
+    assert np.array_equal(recordings._window(points), [[0, 0], [1.5, 1.5]])
+    points[2] += 1000.0  # ... that leaves
+    assert np.array_equal(recordings._window(points), [[0, 0], [3, 3]])
+
+
+def test_still_picture_draws_the_fall_wider_than_the_stand(saved):
+    picture = imread(saved.with_suffix(".png"))[:, :, :3]
+    upper = picture[40: picture.shape[0] // 2]
+    half = upper.shape[1] // 2
+    dark = [np.any(side.min(axis=2) < 0.7, axis=0)[20:-20].sum() for side in (upper[:, :half], upper[:, half:])]
+    assert dark[0] > 2 * dark[1] > 0, "pixel columns with something dark in them, falling against standing"
+
+
+def test_nothing_changes_when_writing_fails_halfway(tmp_path, monkeypatch):
+    path = save(tmp_path, two_scenes())
+    before = path.read_bytes()
+
+    def full_disk(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(recordings, "_write_still", full_disk)
+    with pytest.raises(ReproductionError, match="cannot write .*No space left"):
+        save(tmp_path, two_scenes(moments=5))
+    assert path.read_bytes() == before and len(list(path.parent.iterdir())) == 2
+
+
+def test_unwritable_folder_is_named(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(ReproductionError, match="cannot write .*file/recordings/cart-pole.rrd"):
+        save(tmp_path / "file", two_scenes())
+
+
+def test_unreadable_files_are_refused(saved, tmp_path):
+    verify_recording(saved)
+    whole = saved.read_bytes()
+    for content in (b"", b"no recording", whole[: len(whole) // 2]):
+        (tmp_path / "broken.rrd").write_bytes(content)
+        with pytest.raises(ReproductionError, match="broken.rrd cannot be read") as caught:
+            compare_recordings(saved, tmp_path / "broken.rrd")
+        assert "\n" not in str(caught.value)
+    with pytest.raises(ReproductionError, match="absent.rrd cannot be read"):
+        verify_recording(tmp_path / "absent.rrd")
+
+
+def test_rerun_is_called_without_usage_statistics(saved, tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    monkeypatch.delenv("CI", raising=False)
+    monkeypatch.setenv("FORCE_RERUN_ANALYTICS", "1")
+    verify_recording(saved)
+    assert not list(tmp_path.rglob("analytics/*.json"))  # where rerun keeps events until it sends them
+
+
+def with_part(points):
+    return replace(two_scenes()["random"], parts={"pole": points})
+
+
+STANDING = two_scenes()["random"]
+POLE = STANDING.parts["pole"]
+CENTRES = STANDING.boxes["cart"][0]
+BAD_SCENES = {
+    "NaN": (with_part(np.where(np.arange(21)[:, None, None] == 17, np.nan, POLE)), "part 'pole': not finite at row 17"),
+    "too short": (with_part(POLE[:-1]), r"part 'pole': shape \(20, 2, 3\), wanted \(21, n, 3\)"),
+    "flat": (with_part(POLE[:, :, :2]), r"shape \(21, 2, 2\), wanted \(21, n, 3\)"),
+    "one point": (with_part(POLE[:, :1]), r"shape \(21, 1, 3\)"),
+    "ragged": (with_part([[1, 2], [3]]), "part 'pole': not an array of numbers"),
+    "text": (with_part("pole"), "part 'pole': not an array of numbers"),
+    "nothing to draw": (replace(STANDING, parts={}, boxes={}), "scene 'odd': give a part or box"),
+    "series missing": (replace(STANDING, series={}), r"exactly the series \['pole angle', 'cart position'\]"),
+    "half sizes": (replace(STANDING, boxes={"cart": (CENTRES, (1, 1), None)}), "half sizes of box 'cart': shape"),
+    "rotations": (replace(STANDING, boxes={"cart": (CENTRES, (1, 1, 1), CENTRES)}), "rotations of box 'cart': shape"),
+    "fixed": (replace(STANDING, fixed={"rail": [(0, 0)]}), "fixed 'rail': shape"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_SCENES)
+def test_bad_scenes_are_refused_in_one_line_that_names_them(tmp_path, case):
+    scene, message = BAD_SCENES[case]
+    with pytest.raises(ReproductionError, match=message) as caught:
+        save(tmp_path, {"good": two_scenes()["random"], "odd": scene})
+    assert "\n" not in str(caught.value) and "scene 'odd'" in str(caught.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_scenes_of_different_lengths_are_refused(tmp_path):
+    with pytest.raises(ReproductionError, match=r"scene 'short', series 'pole angle': shape \(20,\), wanted \(21\)"):
+        save(tmp_path, {"long": pendulum(np.zeros(21), "red"), "short": pendulum(np.zeros(20), "blue")})
+
+
+def test_empty_or_senseless_arguments_are_refused(tmp_path):
+    chapter, scenes = Chapter(4, profile="smoke", seeds=1, output_dir=str(tmp_path)), two_scenes()
+    for arguments, message in (
+        (("a", {}, STEP, UNITS, ""), "at least one scene"),
+        (("a", scenes, STEP, {}, ""), "one series"),
+        (("a/b", scenes, STEP, UNITS, ""), "recording name 'a/b'"),
+        (("a", scenes, 0.0, UNITS, ""), "seconds_per_step is 0.0"),
+        (("a", scenes, float("nan"), UNITS, ""), "seconds_per_step is nan"),
+        (("a", scenes, STEP, UNITS, "", (0, 0, 1)), r"seen_from is \(0, 0, 1\)"),
+        (("a", {"empty": pendulum(np.zeros(0), "red")}, STEP, UNITS, ""), r"shape \(0,\)"),
+    ):
+        with pytest.raises(ReproductionError, match=message):
+            save_recording(chapter, *arguments)
