@@ -45,7 +45,8 @@ def write(tmp_path, monkeypatch):
 @pytest.mark.parametrize("gap, level, verdict", [
     (ABOVE, NEAR, "holds"), (ACROSS, NEAR, "undecided"), (BELOW, NEAR, "contradicted"),
     (ABOVE, FAR, "contradicted"), (ACROSS, FAR, "contradicted"), (ABOVE[:2], NEAR[:2], "undecided"),
-    (ABOVE[:1], NEAR[:1], "undecided"),
+    (ABOVE[:1], NEAR[:1], "undecided"), (ABOVE, [1.01, 0.98, 1.02, 0.97], "undecided"),
+    (ABOVE, [1.2, 1.21, 1.2, 1.19], "contradicted"),
 ])
 def test_verdict_follows_from_the_intervals_of_all_parts(chapter, write, gap, level, verdict):
     write(ENTRY.format(control=NONE))
@@ -72,6 +73,13 @@ def test_a_control_that_holds_too_takes_the_verdict_away(chapter, write, control
     claim = claims.check_claim(chapter, "C4.2", {"gap": ABOVE, "level": NEAR}, control)
     assert (claim.control_verdict, claim.verdict) == (control_verdict, verdict)
     assert bool(claim.remark) == (verdict == "undecided")
+
+
+def test_the_test_is_against_the_nearest_bound(chapter, write):
+    write(ENTRY.format(control=NONE))
+    claim = claims.check_claim(chapter, "C4.2", {"gap": ABOVE, "level": [1.0, 1.01, 0.98, 0.98]})
+    assert claim.test == "level: sign flips of the samples against 1, two-sided"
+    assert claim.p == 4 / 8  # +-0.01 +-0.02 +-0.02 is 0.03 or more in size for four of eight signs
 
 
 def test_a_small_profile_measures_but_does_not_decide(chapter, write):
@@ -143,9 +151,9 @@ def test_rows_are_replaced_and_sorted_and_valid_json(chapter, monkeypatch):
 
 
 def test_a_claim_shows_itself_in_one_line(chapter, write):
-    write(ENTRY.format(control=NONE).replace("A lies above B.", "A > B."))
-    claim = claims.check_claim(chapter, "C4.2", {"gap": ABOVE, "level": NEAR})
-    assert repr(claim).startswith("C4.2 holds: A > B.") and "\n" not in repr(claim)
+    write(ENTRY.format(control=NONE).replace("A lies above B.", "A > B.").replace("level]", '"SM: level"]'))
+    claim = claims.check_claim(chapter, "C4.2", {"gap": [x + 1 for x in ABOVE], "SM: level": [0.9, 0.9, 1.0, 0.9]})
+    assert repr(claim).startswith("C4.2 holds: A > B. | SM: level: ") and "\n" not in repr(claim)
     assert "A &gt; B." in claim._repr_html_()
 
 

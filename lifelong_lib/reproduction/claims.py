@@ -1,9 +1,9 @@
 """The ledger: what the thesis claims, what a run measured, and what follows.
 
 `data/thesis/claims.toml` holds every claim and every published number. A claim has parts; a part is one number with
-bounds, measured once a seed. The bootstrap interval of its mean inside the bounds: the part holds; beside them: it is
-contradicted; across an edge: undecided. A claim holds if all its parts do and is contradicted if one is. A negative
-control, the same numbers with the claimed cause switched off, must not hold.
+bounds, measured once a seed. If the 95 % bootstrap interval of its mean lies inside the bounds, the part holds; if it
+lies beside them, the part is contradicted; across an edge, it is undecided. A claim holds if all its parts do and is
+contradicted if one is. A negative control, the same numbers with the claimed cause switched off, must not hold.
 """
 
 import html
@@ -52,7 +52,7 @@ class Claim:
     def __repr__(self):
         low, high = self.interval or (np.nan, np.nan)
         chance = "" if self.p is None else f", p = {self.p:.2g}"
-        return (f"{self.id} {self.verdict}: {self.statement} | {self.test.split(':')[0]}: {self.measured:.3g} "
+        return (f"{self.id} {self.verdict}: {self.statement} | {self.test.rpartition(': ')[0]}: {self.measured:.3g} "
                 f"[{low:.3g}, {high:.3g}], n = {self.n}{chance}; thesis: {self.thesis}; control {self.control_verdict}"
                 + (f" ({self.remark})" if self.remark else ""))
 
@@ -93,7 +93,7 @@ def check_claim(chapter, identity, parts, control=None):
 
 def overall(parts):
     """Return the verdict of a claim from the verdicts of its judged `parts` (list of dicts)."""
-    return VERDICTS[min(VERDICTS.index(part["verdict"]) for part in parts)]
+    return VERDICTS[min((VERDICTS.index(part["verdict"]) for part in parts), default=1)]
 
 
 def bounds(part):
@@ -105,7 +105,7 @@ def bounds(part):
 
 def published(identity):
     """Return the published numbers of a figure or table such as "F4.2", as nested dicts of numbers and lists."""
-    tables = _read_ledger()["published"]
+    tables = _read_ledger().get("published", {})
     if identity not in tables:
         raise ReproductionError(f"no published numbers for '{identity}' in claims.toml: it has {', '.join(tables)}")
     return tables[identity]
@@ -114,7 +114,7 @@ def published(identity):
 def ledger(path=None):
     """Return {id: claim} of claims.toml, every part with `decides` filled in; refuses a row that is not complete."""
     claims = {}
-    for row in _read_ledger(path)["claim"]:
+    for row in _read_ledger(path).get("claim", []):
         name = row.get("id", "(a claim without id)")
         wrong = _what_is_wrong(row) or (name in claims and "stands there twice")
         if wrong:
@@ -188,7 +188,7 @@ def _judge_control(identity, entry, control):
         raise ReproductionError(f"claim {identity} needs its control ({entry['control']}): hand over control={{...}}")
     _no_others(identity, entry, control)
     judged = [_judge(identity, label, entry["parts"][label], samples) for label, samples in control.items()]
-    return overall(judged), judged
+    return overall([part for part in judged if part["decides"]]), judged
 
 
 def _no_others(identity, entry, samples):
