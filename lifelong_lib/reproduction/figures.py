@@ -63,10 +63,11 @@ def legend(fig):
     """Put one legend for all panels above them, where it hides no data; call it when everything is drawn."""
     entries = {text: mark for ax in fig.axes for mark, text in zip(*ax.get_legend_handles_labels(), strict=True)}
     entries = dict(sorted(entries.items(), key=lambda entry: entry[0] == "published"))  # ours first, published last
-    room = int(fig.get_figwidth() * 72 / 4.2 / (9 + max(map(len, entries), default=0)))  # a letter is 4.2 points wide
+    length = sum(11 + len(text) for text in entries)  # [letters of 4.4 points] texts and the samples before them
+    rows = np.ceil(4.4 * length / (72 * fig.get_figwidth()))
     with plt.rc_context(STYLE):
         fig.legend(entries.values(), entries.keys(), loc="outside upper center", handlelength=3.2, columnspacing=1.4,
-                   ncols=max(1, min(room, len(entries))))
+                   ncols=max(1, int(np.ceil(len(entries) / max(1, rows)))))
 
 
 def draw_curves(ax, x, values, method, label=None):
