@@ -7,10 +7,12 @@ cd "$root"
 
 fail() { echo "error: $*" >&2; exit 2; }
 
+is_recent() { "$1" -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1; }
+
 find_python() {   # pybullet has ready-made wheels for 3.11 only, so 3.11 is tried first
     local name
     for name in python3.11 python3 python python3.12 python3.13; do
-        if "$name" -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1; then
+        if is_recent "$name"; then
             echo "$name"
             return
         fi
@@ -36,11 +38,14 @@ set_up() {   # the copy of environment.txt is written last, so an interrupted in
     mv "$lock.part" "$lock"
 }
 
+python="${LIFELONG_PYTHON:-.venv/bin/python}"
 if [ -z "${LIFELONG_PYTHON:-}" ]; then
     set_up
+elif ! command -v "$python" >/dev/null; then
+    fail "LIFELONG_PYTHON=$python is not a program"
+elif ! is_recent "$python"; then
+    fail "LIFELONG_PYTHON=$python is older than Python 3.11; 3.11 or newer is needed"
 fi
-python="${LIFELONG_PYTHON:-.venv/bin/python}"
-command -v "$python" >/dev/null || fail "LIFELONG_PYTHON=$python is not a program"
 
 export PYTHONHASHSEED=0 OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 NUMEXPR_NUM_THREADS=1
 export PYTHONPATH="$root${PYTHONPATH:+:$PYTHONPATH}"

@@ -203,8 +203,7 @@ def audit_runs(options: argparse.Namespace, chosen: dict[int, Path], typed: dict
     same = sum(row["same"] for row in rows)
     print(f"{same} of {len(rows)} recomputed runs are identical to what is stored")
     if len(rows) < options.audit:
-        return complain(f"{options.audit} runs were asked for, but the notebooks as they are now own only {len(rows)} of "
-                        f"those drawn", 1)
+        return complain(f"of {options.audit} runs drawn, the notebooks as they are now own only {len(rows)}", 1)
     return 0 if same == len(rows) else 1
 
 

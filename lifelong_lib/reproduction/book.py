@@ -20,12 +20,14 @@ from docutils.utils.math import MathError
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.util import logging
 
+from .fingerprint import SOURCES
 from .notebooks import cell_ids, made_ids
 from .report import order, read_json, verdict_counts
 from .runs import ROOT, ReproductionError
 
 CONFIGURATION = """
 project = html_title = "Lifelong reinforcement learning on mobile robots, reproduced"
+author = "The lifelong reproduction authors"
 extensions = ["myst_nb", "lifelong_lib.reproduction.book"]
 html_theme = "sphinx_book_theme"
 html_theme_options = {"home_page_in_toc": True, "use_download_button": False, "use_fullscreen_button": False}
@@ -64,9 +66,9 @@ def build_book(folder: Path, reference: Path) -> Path:
             (source / f"{name}.md").write_text(text)
         command = [sys.executable, "-m", "sphinx", "-b", "html", "-q", "-E", "-d", f"{temporary}/doctrees",
                    str(source), str(out)]
-        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+        done = subprocess.run(command, cwd=SOURCES, capture_output=True, text=True)
         if done.returncode:
-            raise ReproductionError(f"the book could not be built: {done.stderr.strip().splitlines()[-1]}")
+            raise ReproductionError(f"the book could not be built: {' '.join(done.stderr.split())[:300]}")
         sys.stderr.write(done.stderr.replace(f"{source}/", ""))
         shutil.rmtree(folder / "book", ignore_errors=True)
         shutil.move(out, folder / "book")
@@ -114,8 +116,8 @@ def _front_page(folder: Path, reference: Path, claims: list[dict], homes: dict[s
     compared = {row["id"]: row for row in read_json(folder / "comparison.json", {}).get("results", [])}
     chapters = "\n".join(f"chapters/{path.stem}" for path in sorted((folder / "notebooks").glob("ch*.ipynb")))
     parts = ["# Lifelong reinforcement learning on mobile robots, reproduced",
-             f"<p>This is the profile <b>{folder.name}</b>: {len(claims)} claims of the thesis were put to the test. "
-             f'<a href="claims.html">All claims</a></p>\n\n<p>{_counts(claims)}</p>',
+             f'<p>Made at the profile <b>{folder.name}</b>. <a href="claims.html">The claims of the thesis</a>: '
+             f"{_counts(claims)}</p>",
              "Left: what this run made. Right: the committed reference. A badge is a claim that rests on the same "
              "runs; it leads to the place in the chapter where it is judged."]
     for path in sorted(folder.glob("[FT]*.csv"), key=lambda path: order(path.stem)):
@@ -126,7 +128,8 @@ def _front_page(folder: Path, reference: Path, claims: list[dict], homes: dict[s
                   (("latest", folder), ("reference", reference)) if (place / f"{name}.png").exists()]
         images = "".join(f'<a href="{file}"><img src="{file}" alt="{name}, {title}"></a>' for title, file in places)
         said = "; ".join(f"{key} {row[key]}" for key in ("data", "picture") if row.get(key))
-        parts += [f"## {name}", f'<p><a href="{_link(name, homes)}">{html.escape(heading or name)}</a> '
+        parts += [f"## {heading}" if name in heading else f"## {name} {heading}",
+                  f'<p><a href="{_link(name, homes)}">in its chapter</a> '
                   f'<span class="same">{html.escape(said)}</span></p>',
                   f'<div class="pair">{images}</div>' if images else _table(folder / f"{name}.csv"), badges]
     parts.append("```{toctree}\n:hidden:\n" + chapters + "\nclaims\nnot_reproduced\ndeviations\nrecordings\n"
@@ -224,7 +227,7 @@ def setup(app) -> dict:
             logging.getLogger(__name__).warning("formula left as text (%s): %s", error, text, location=node)
             drawn = f"<code>{html.escape(text)}</code>"
         number = f'<span class="eqno">({tag.group(1)})</span>' if tag else ""
-        translator.body.append(f'<div class="math">{number}{drawn}</div>' if block else drawn)
+        translator.body.append(f'<div class="formula">{drawn}{number}</div>' if block else drawn)
         raise nodes.SkipNode
     app.add_html_math_renderer("mathml", inline_renderers=(draw, None), block_renderers=(draw, None))
     return {"parallel_read_safe": True}

@@ -13,9 +13,6 @@ import io
 import json
 import os
 import re
-import sys
-import tempfile
-import threading
 import tokenize
 from collections.abc import Iterator
 from pathlib import Path
@@ -162,14 +159,15 @@ def execute(path: Path, parameters: dict[str, object], folder: Path, options: di
     computed and cells may fail. Otherwise a failing cell raises ReproductionError with notebook, cell, error and copy.
     """
     options = options or {}
-    parameters = typed_parameters(path, parameters)
+    defaults = typed_parameters(path, {})
+    changed = {name: value for name, value in typed_parameters(path, parameters).items() if value != defaults[name]}
     copy = folder / "notebooks" / path.name
     copy.parent.mkdir(parents=True, exist_ok=True)
-    with _progress_pipe() as progress, _environment(LIFELONG_OPTIONS=json.dumps(options), **progress):
+    with _environment(LIFELONG_OPTIONS=json.dumps(options)):
         try:
             papermill.execute_notebook(
-                str(path), str(copy), parameters, kernel_name="python3", language="python", cwd=str(ROOT),
-                progress_bar=False, allow_errors="plan" in options, extra_arguments=["--log-level=ERROR"],
+                str(path), str(copy), changed, kernel_name="python3", language="python", cwd=str(ROOT),
+                progress_bar=False, allow_errors="plan" in options, extra_arguments=["--log-level=CRITICAL"],
             )
         except PapermillExecutionError as error:
             if "plan" not in options:
@@ -192,28 +190,3 @@ def _environment(**variables: str) -> Iterator[None]:
     finally:
         os.environ.clear()
         os.environ.update(before)
-
-
-@contextlib.contextmanager
-def _progress_pipe() -> Iterator[dict[str, str]]:
-    """A named pipe whose text appears on our stderr: the kernel's own stderr would end up in the notebook."""
-    with tempfile.TemporaryDirectory(prefix="lifelong-") as folder:
-        path = os.path.join(folder, "progress")
-        os.mkfifo(path)
-        pipe = os.open(path, os.O_RDWR)   # being a writer too, we see no end of file between two grids
-        thread = threading.Thread(target=_copy_to_stderr, args=(pipe,), daemon=True)
-        thread.start()
-        try:
-            yield {"LIFELONG_PROGRESS": path, "LIFELONG_PROGRESS_TERMINAL": str(int(sys.stderr.isatty()))}
-        finally:
-            os.write(pipe, b"\0")
-            thread.join()
-            os.close(pipe)
-
-
-def _copy_to_stderr(pipe: int) -> None:
-    text = b""
-    while not text.endswith(b"\0"):
-        text = os.read(pipe, 65536)
-        sys.stderr.write(text.rstrip(b"\0").decode(errors="replace"))
-        sys.stderr.flush()

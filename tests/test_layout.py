@@ -1,0 +1,179 @@
+"""The shape of the project: import directions, notebook rules, sizes, pins, forbidden constructs."""
+
+import ast
+import re
+import statistics
+import subprocess
+import sys
+import tomllib
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+from conftest import REPOSITORY
+
+from lifelong_lib.reproduction.notebooks import COMMON, find_notebooks, made_ids, read_notebook, read_parameters
+
+LIBRARY = REPOSITORY / "lifelong_lib"
+SOURCES = sorted(LIBRARY.rglob("*.py"))
+NOTEBOOKS = find_notebooks(REPOSITORY / "notebooks")
+LINES = 2950   # raised on purpose only, with the issue that needs it
+
+# May import from: None = anything of the library. A module that is not listed falls under its package.
+ALLOWED = {
+    "reproduction.fingerprint": (),
+    "reproduction.backends": ("reproduction.fingerprint",),
+    "reproduction.statistics": (),
+    "reproduction": ("reproduction",),
+    "environments": ("environments",),
+    "learners": ("learners",),
+    "transfer": ("transfer", "learners"),
+    "bench": None,
+    "__main__": ("reproduction", "bench"),
+    "": (),
+}
+ONLY_IN = {"pybullet": ("environments.mobile_robots", "environments.camera_robots"),
+           "libsumo": ("environments.intersections",), "rerun": ("reproduction.recordings",),
+           "stable_baselines3": ("bench",)}
+
+# What the notebook of a chapter makes; rows of later issues are added with them.
+INVENTORY = {
+    2: "F2.1 C2.1",
+    4: "F4.1 F4.2 F4.3 F4.4 F4.5 F4.6 F4.7 F4.8 F4.9 T4.1 T4.2 T4.3 "
+       "C4.1 C4.2 C4.3 C4.4 C4.5 C4.6 C4.7 C4.8 C4.9 C4.10 C4.11 C4.12 C4.13 C4.14 C4.15",
+}
+OPTIONAL = {2: "T2.1"}
+
+each_source = pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(LIBRARY)))
+each_notebook = pytest.mark.parametrize("path", NOTEBOOKS.values(), ids=lambda path: path.name)
+
+
+def imported(path: Path) -> set[str]:
+    """Full names of the modules that a file imports anywhere in it; `lifelong_lib.` is written as `.`."""
+    package = path.relative_to(REPOSITORY).with_suffix("").parts[:-1]
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            base = list(package[:len(package) - node.level + 1]) if node.level else []
+            module = ".".join(base + ([node.module] if node.module else []))
+            names |= {f"{module}.{alias.name}" for alias in node.names}
+    return names
+
+
+def forbidden_imports(path: Path) -> list[str]:
+    name = ".".join(path.relative_to(LIBRARY).with_suffix("").parts).removesuffix("__init__").rstrip(".")
+    allowed = next(ALLOWED[key] for key in (name, name.partition(".")[0]) if key in ALLOWED)
+    wrong = []
+    for module in imported(path):
+        top, _, inside = module.partition(".")
+        if top == "lifelong_lib" and inside and allowed is not None:
+            wrong += [module] if not any(f"{inside}.".startswith(f"{name}.") for name in allowed) else []
+        wrong += [module] if top in ONLY_IN and name not in ONLY_IN[top] else []
+    return wrong
+
+
+@each_source
+def test_imports_run_one_way(path):
+    assert forbidden_imports(path) == []
+
+
+def test_a_wrong_direction_is_seen(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys.modules[__name__], "REPOSITORY", tmp_path)
+    monkeypatch.setattr(sys.modules[__name__], "LIBRARY", tmp_path / "lifelong_lib")
+    path = tmp_path / "lifelong_lib" / "learners" / "bad.py"
+    path.parent.mkdir(parents=True)
+    path.write_text("from ..transfer.ella import Ella\nfrom .policy_gradient import x\nimport pybullet, numpy\n")
+    assert sorted(forbidden_imports(path)) == ["lifelong_lib.transfer.ella.Ella", "pybullet"]
+
+
+@each_source
+def test_files_and_functions_are_short_and_forbidden_constructs_absent(path):
+    text = path.read_text()
+    assert len(text.splitlines()) <= 400
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.FunctionDef):
+            assert node.end_lineno - node.lineno < 60, f"{node.name} is longer than 60 lines"
+        if isinstance(node, ast.ExceptHandler):
+            caught = ast.unparse(node.type) if node.type else "everything"
+            assert caught not in ("everything", "Exception", "BaseException"), f"line {node.lineno} catches {caught}"
+        if isinstance(node, ast.keyword) and node.arg == "allow_pickle":
+            assert node.value.value is False, node.value.lineno
+        if isinstance(node, ast.Attribute) and ast.unparse(node.value) in ("np.random", "numpy.random"):
+            assert node.attr in ("default_rng", "Generator", "SeedSequence"), f"line {node.lineno} uses {node.attr}"
+    assert path.name != "utils.py" and "import pickle" not in text
+
+
+def test_the_library_stays_thin():
+    total = sum(len(path.read_text().splitlines()) for path in SOURCES)
+    assert total <= LINES, f"{total} lines"
+
+
+def test_ruff_is_content_with_sources_and_notebooks():
+    done = subprocess.run([sys.executable, "-m", "ruff", "check", "--output-format=concise", "."], cwd=REPOSITORY,
+                          capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_every_package_is_pinned_and_installed_as_pinned():
+    lines = (REPOSITORY / "environment.txt").read_text().splitlines()
+    assert [line for line in lines if not re.fullmatch(r"[a-z0-9.-]+==[0-9][a-z0-9.]*", line)] == []
+    pins = dict(line.split("==") for line in lines)
+    assert lines == sorted(lines) and pins["torch"] == "2.13.0" and pins["pyarrow"].startswith("23.0.")
+    direct = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]["dependencies"]
+    assert {re.match(r"[\w.-]+", line).group().lower() for line in direct} <= pins.keys()
+    # A local build tag such as +cpu belongs to the same release.
+    installed = {name: metadata.version(name).partition("+")[0] for name in pins}
+    assert {name: (version, pins[name]) for name, version in installed.items() if version != pins[name]} == {}
+
+
+def test_no_address_of_a_package_registry_and_no_path_of_a_machine():
+    endings = {".py", ".sh", ".toml", ".txt", ".md", ".ipynb", ""}
+    texts = [path for path in REPOSITORY.rglob("*") if path.suffix in endings and path.is_file()
+             and not set(path.relative_to(REPOSITORY).parts) & {".git", ".venv", "latest", "results"}]
+    pattern = re.compile(r"index-url|extra-index|find-links|--hash|/home/|/root/|/work/|/tmp/w/|pypi\.org")
+    texts.remove(Path(__file__).resolve())
+    assert [(path.name, found) for path in texts if (found := pattern.findall(path.read_text()))] == []
+
+
+# ------------------------------------------------------------------------------------------------- notebooks
+
+def code(path: Path) -> list:
+    return [cell for cell in read_notebook(path).cells if cell.cell_type == "code"]
+
+
+def loc(cell) -> int:
+    return sum(bool(line.strip()) for line in cell.source.splitlines())
+
+
+@each_notebook
+def test_notebook_parameters(path):
+    assert list(read_parameters(path))[:4] == list(COMMON)
+    assert all(comment for _, comment in read_parameters(path).values()), "every parameter has a comment"
+
+
+@each_notebook
+def test_notebook_cells_are_short_and_explained(path):
+    sizes = [loc(cell) for cell in code(path)]
+    assert max(sizes) <= 25 and statistics.median(sizes) <= 8, sizes
+    kinds = "".join(cell.cell_type[0] for cell in read_notebook(path).cells)
+    assert "ccc" not in kinds, "three code cells in a row"
+
+
+@each_notebook
+def test_notebook_is_stored_clean(path):
+    for cell in code(path):
+        assert not cell.outputs and cell.execution_count is None, "outputs are stored"
+        unwanted = r"\bpip\b|^\s*[!%]|\bexcept\b|https?://|['\"]/\w|~/"
+        assert not re.search(unwanted, cell.source, re.MULTILINE), cell.source
+
+
+@each_notebook
+def test_notebook_makes_every_id_of_its_chapter_once_and_announces_it(path):
+    made = made_ids(path)
+    number = int(path.name[2:4])
+    assert [name for name, places in made.items() if len(places) > 1] == []
+    assert set(made) - set(OPTIONAL.get(number, "").split()) == set(INVENTORY[number].split())
+    announced = read_notebook(path).cells[0].source
+    assert [name for name in made if name[0] in "FT" and not re.search(rf"\b{re.escape(name)}(?!\d)", announced)] == []

@@ -1,0 +1,120 @@
+"""Parameters are checked before anything runs; every chapter notebook runs at smoke and makes what it announces."""
+
+import json
+
+import pytest
+from conftest import BROKEN, REPOSITORY, SET_UP, TITLE, write_notebook
+
+from lifelong_lib.reproduction.notebooks import (
+    execute,
+    find_notebooks,
+    made_ids,
+    missing_results,
+    read_notebook,
+    read_parameters,
+    typed_parameters,
+)
+from lifelong_lib.reproduction.runs import ReproductionError
+
+
+@pytest.fixture
+def notebook(tmp_path):
+    return write_notebook(tmp_path / "ch04_small.ipynb", [TITLE, "print(scale, tasks)", BROKEN])
+
+
+def test_parameters_have_a_value_and_a_comment(notebook):
+    found = read_parameters(notebook)
+    assert list(found) == ["profile", "seeds", "workers", "output_dir", "scale", "tasks", "broken"]
+    assert found["scale"] == (1.0, "slope [1/s]") and found["workers"] == (1, "")
+
+
+@pytest.mark.parametrize("source, complaint", [
+    ("a = 1\nb = a * 2", "not `b = a * 2`"),
+    ("import os", "not `import os`"),
+    ("a = b = 1", "not `a = b = 1`"),
+    (None, "0 cells tagged 'parameters'"),
+])
+def test_a_parameters_cell_holds_literals_only(tmp_path, source, complaint):
+    path = write_notebook(tmp_path / "ch04_bad.ipynb", [TITLE, SET_UP], parameters=source)
+    with pytest.raises(ReproductionError, match="ch04_bad.ipynb") as caught:
+        read_parameters(path)
+    assert complaint in str(caught.value)
+
+
+def test_two_parameters_cells_are_refused(tmp_path):
+    path = write_notebook(tmp_path / "ch04_twice.ipynb", [TITLE, SET_UP])
+    content = json.loads(path.read_text())
+    content["cells"][2]["metadata"]["tags"] = ["parameters"]
+    path.write_text(json.dumps(content))
+    with pytest.raises(ReproductionError, match="2 cells"):
+        read_parameters(path)
+
+
+def test_a_file_that_is_no_notebook_is_named(tmp_path):
+    (tmp_path / "ch04_torn.ipynb").write_text('{"cells": [')
+    with pytest.raises(ReproductionError, match="ch04_torn.ipynb is not a readable notebook"):
+        read_parameters(tmp_path / "ch04_torn.ipynb")
+
+
+@pytest.mark.parametrize("name, text, value", [
+    ("scale", "2", 2.0), ("scale", "1e-3", 0.001), ("scale", 2, 2.0), ("seeds", "7", 7), ("profile", "007", "007"),
+    ("broken", "true", True), ("broken", "False", False),
+    ("tasks", "[3, 4]", [3, 4]), ("tasks", "3,4", [3, 4]), ("tasks", [5], [5]),
+])
+def test_values_take_the_type_of_the_default(notebook, name, text, value):
+    typed = typed_parameters(notebook, {name: text})
+    assert typed[name] == value and type(typed[name]) is type(value)
+    assert typed["output_dir"] == ""
+
+
+@pytest.mark.parametrize("name, text, complaint", [
+    ("seeds", "1.5", "wants a whole number, not '1.5'"), ("seeds", "many", "wants a whole number"),
+    ("seeds", True, "wants a whole number"), ("scale", "fast", "wants a number"),
+    ("broken", "1", "wants true or false"), ("tasks", "3,x", "wants a list"), ("tasks", "[1.5]", "wants a list"),
+    ("profile", 3, "wants a text"), ("sclae", "1", "did you mean 'scale'?"),
+    ("zzz", "1", "it has profile, seeds"),
+])
+def test_wrong_names_and_types_are_refused(notebook, name, text, complaint):
+    with pytest.raises(ReproductionError) as caught:
+        typed_parameters(notebook, {name: text})
+    assert complaint in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_ids_are_read_from_the_code_with_the_heading_above(tmp_path):
+    cells = ["# Top", "## Curves", 'save_figure(chapter, "F4.2", fig, rows)', "## Words",
+             'check_claim(chapter, "C4.2", {})\nsave_table(chapter, "T4.1", rows)',
+             'save_figure(chapter, "F4.2", fig, rows)']
+    path = write_notebook(tmp_path / "ch04_ids.ipynb", cells)
+    assert made_ids(path) == {"F4.2": ["Curves", "Words"], "C4.2": ["Words"], "T4.1": ["Words"]}
+    assert missing_results(path, tmp_path) == ["F4.2", "C4.2", "T4.1"]
+    for name in ("F4.2.csv", "F4.2.png", "F4.2.svg", "T4.1.csv"):
+        (tmp_path / name).touch()
+    (tmp_path / "claims.json").write_text('[{"id": "C4.2"}]')
+    assert missing_results(path, tmp_path) == ["T4.1"]
+    (tmp_path / "T4.1.md").touch()
+    assert missing_results(path, tmp_path) == []
+    assert missing_results(path, tmp_path, since=4e9) == ["F4.2", "C4.2", "T4.1"]
+
+
+def test_execution_hands_over_values_and_names_a_failing_cell(notebook, tmp_path):
+    complaint = r"ch04_small.ipynb, cell \[\d\]: ValueError: broken on demand"
+    with pytest.raises(ReproductionError, match=complaint) as caught:
+        execute(notebook, {"scale": "0.5", "tasks": [7], "broken": True}, tmp_path / "out")
+    copy = tmp_path / "out" / "notebooks" / "ch04_small.ipynb"
+    assert str(copy) in str(caught.value)
+    outputs = [output for cell in read_notebook(copy).cells for output in cell.get("outputs", [])]
+    assert "0.5 [7]\n" in [output.get("text") for output in outputs]
+
+
+def test_nothing_runs_when_a_parameter_is_wrong(notebook, tmp_path):
+    with pytest.raises(ReproductionError):
+        execute(notebook, {"seeds": "many"}, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("path", find_notebooks(REPOSITORY / "notebooks").values(), ids=lambda path: path.name[:4])
+def test_chapter_at_smoke_makes_everything_it_announces(path, tmp_path):
+    execute(path, {"profile": "smoke", "output_dir": str(tmp_path)}, tmp_path)
+    made = made_ids(path)
+    assert made and all(len(places) == 1 for places in made.values())
+    assert missing_results(path, tmp_path) == []

@@ -1,0 +1,158 @@
+"""Comparison with the reference, acceptance, provenance and the book."""
+
+import hashlib
+import json
+import re
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from conftest import command
+from docutils import nodes
+
+from lifelong_lib.reproduction import book
+from lifelong_lib.reproduction.report import accept, compare, comparison_lines, order, read_json, write_json
+from lifelong_lib.reproduction.runs import ReproductionError
+
+
+def results(folder: Path, value: str = "1.0", verdict: str = "holds", pixel: float = 0.0) -> Path:
+    """A finished run with one figure and one claim."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "F4.1.csv").write_text(f"x,y\n1,{value}\n2,5.0\n")
+    plt.imsave(folder / "F4.1.png", np.full((4, 5), pixel) * np.eye(4, 5), vmin=0, vmax=1)
+    write_json(folder / "claims.json", [{"id": "C4.1", "verdict": verdict}])
+    write_json(folder / "unit_costs.json", {"ch04/a": 1.0})
+    return folder
+
+
+@pytest.mark.parametrize("value, said", [
+    ("1.0", "identical"), ("1.00", "equal within 1e-9"), ("1.0000000001", "equal within 1e-9"),
+    ("1.25", "different by at most 0.25"), ("nan", "different by at most inf"), ("one", "other text: 'one' for '1.0'"),
+    ("1.0,3", "other rows or columns"), ("1.0\n3,4", "other rows or columns"),
+])
+def test_data_are_compared_by_value(tmp_path, value, said):
+    found = compare(results(tmp_path / "a", value), results(tmp_path / "b"))
+    assert found["results"] == [{"id": "F4.1", "data": said, "picture": "identical"}]
+    assert read_json(tmp_path / "a" / "comparison.json", None) == found
+
+
+def test_pictures_verdicts_and_missing_results_are_told(tmp_path):
+    ours, theirs = results(tmp_path / "a", verdict="undecided", pixel=1.0), results(tmp_path / "b")
+    (ours / "T4.10.csv").write_text("a\n1\n")
+    (theirs / "T4.9.csv").write_text("a\n1\n")
+    found = compare(ours, theirs)
+    assert found["results"] == [
+        {"id": "F4.1", "data": "identical", "picture": "20 % of its points differ"},
+        {"id": "T4.9", "data": "not made", "picture": ""},
+        {"id": "T4.10", "data": "no reference", "picture": ""}]
+    assert found["verdicts"] == [{"id": "C4.1", "reference": "holds", "latest": "undecided"}]
+    lines = "\n".join(comparison_lines(found))
+    assert lines.startswith("0 of 3") and "holds -> undecided" in lines
+
+
+def test_accepting_keeps_the_chapters_that_were_not_run(tmp_path):
+    reference = results(tmp_path / "reference", value="7.0")
+    for name in ("F4.2.csv", "F2.1.csv"):
+        (reference / name).write_text("a\n1\n")
+    write_json(reference / "claims.json", [{"id": "C4.9", "verdict": "holds"}, {"id": "C2.1", "verdict": "holds"}])
+    write_json(reference / "unit_costs.json", {"ch02/b": 2.0, "ch04/a": 9.0})
+    latest = results(tmp_path / "latest")
+    accept(latest, reference)
+    assert sorted(path.name for path in reference.glob("*.csv")) == ["F2.1.csv", "F4.1.csv"]
+    assert (reference / "F4.1.csv").read_bytes() == (latest / "F4.1.csv").read_bytes()
+    assert [row["id"] for row in read_json(reference / "claims.json", [])] == ["C2.1", "C4.1"]
+    assert read_json(reference / "unit_costs.json", {}) == {"ch02/b": 2.0, "ch04/a": 1.0}
+    assert comparison_lines(compare(latest, reference))[0].startswith("1 of 2")
+
+
+def test_nothing_to_accept_and_damaged_files_are_named(tmp_path):
+    with pytest.raises(ReproductionError, match="nothing in"):
+        accept(tmp_path / "latest", tmp_path / "reference")
+    (tmp_path / "claims.json").write_text("[{")
+    with pytest.raises(ReproductionError, match="claims.json is damaged"):
+        read_json(tmp_path / "claims.json", [])
+    assert sorted(["F4.10", "F4.9", "C4.1"], key=order) == ["C4.1", "F4.9", "F4.10"]
+
+
+def test_the_book_needs_no_network_and_shows_the_results(project):
+    pages = project / "figures" / "latest" / "quick" / "book"
+    for path in [*pages.rglob("*.html"), *pages.rglob("*.css")]:
+        text = path.read_text()
+        loaded = re.findall(r'(?:src|srcset)="([^"]*)"', text) + re.findall(r"<link[^>]*href=\"([^\"]*)\"", text)
+        loaded += re.findall(r"url\(\s*[\"']?([^\"')]*)", text) + re.findall(r"@import[^;]*", text)
+        assert not [address for address in loaded if re.match(r"(https?:)?//", address)], path
+    front = (pages / "index.html").read_text()
+    for expected in ("_static/latest/F4.1.png", "_static/reference/F4.1.png", "1 holds",
+                     'href="chapters/ch04_demonstration.html#C4.1"', "data identical; picture identical", "A curve"):
+        assert expected in front, expected
+    for source in re.findall(r'src="([^"?]*)', front):
+        assert (pages / source).exists(), source
+    chapter = (pages / "chapters" / "ch04_demonstration.html").read_text()
+    assert all(f'<a id="{name}"></a>' in chapter for name in ("F4.1", "T4.1", "C4.1"))
+    assert "<math" in chapter and "(4.1)" in chapter and "MathJax" not in chapter
+    assert "The slope is above 2." in (pages / "claims.html").read_text()
+
+
+def test_the_same_results_make_the_same_book(project):
+    folder, reference = (project / "figures" / kind / "quick" for kind in ("latest", "reference"))
+
+    def digest() -> str:
+        files = [path for path in sorted((folder / "book").rglob("*")) if path.is_file()]
+        return hashlib.sha256(b"".join(str(path).encode() + path.read_bytes() for path in files)).hexdigest()
+
+    before = digest()
+    assert book.build_book(folder, reference) == folder / "book" / "index.html"
+    assert digest() == before
+
+
+def test_provenance_tells_versions_parameters_and_runs_without_dates(project):
+    made = json.loads((project / "figures" / "latest" / "quick" / "provenance.json").read_text())
+    assert made["profile"] == "quick" and len(made["lock"]) == 64 and made["versions"]["numpy"] == np.__version__
+    assert made["chapters"]["ch04"]["parameters"]["scale"] == 1.0
+    assert made["chapters"]["ch04"]["runs"] == {"slopes": {"wanted": 8, "computed": 8, "read": 0, "stale": 0}}
+    assert not re.search(r"20\d\d-\d\d-\d\d", json.dumps(made["chapters"]))
+
+
+def test_findings_stand_beside_the_claims_that_do_not_hold(tmp_path, monkeypatch):
+    (tmp_path / "data" / "thesis").mkdir(parents=True)
+    (tmp_path / "data" / "thesis" / "findings.md").write_text("# Findings\n## C4.1, C4.3\nBecause.\n## C4.2\nNo.\n")
+    monkeypatch.setattr(book, "ROOT", tmp_path)
+    rows = [{"id": f"C4.{n}", "statement": "a < b", "verdict": verdict}
+            for n, verdict in enumerate(("contradicted", "holds", "undecided", "not tested"), 1)]
+    page = book._missing_page(rows)
+    assert page.count("Because.") == 2 and "No." not in page and "a &lt; b" in page
+    assert "C4.2" not in page and "too small" in page
+
+
+def test_formulas_become_mathml_and_unknown_ones_stay_readable(project):
+    source = r"\theta^{(t)} = \arg\min_{\mathbf{s}} \lVert s \rVert_1 + \frac{1}{T}\sum_{t=1}^{T} \boldsymbol{L} s"
+    drawn = draw(source)
+    assert drawn.startswith("<math") and "θ" in drawn
+    assert draw(r"\nosuchmacro{x}") == r"<code>\nosuchmacro{x}</code>"
+
+
+def draw(formula: str) -> str:
+    """What the book's renderer writes for an inline formula."""
+    renderers = {}
+
+    class App:
+        def add_html_math_renderer(self, name, inline_renderers, block_renderers):
+            renderers[name] = inline_renderers[0]
+
+    class Translator:
+        body: list = []
+
+    book.setup(App())
+    with pytest.raises(nodes.SkipNode):
+        renderers["mathml"](Translator, nodes.math("", formula))
+    return "".join(Translator.body)
+
+
+def test_a_damaged_result_is_named_by_the_command(project, tmp_path):
+    claims = project / "figures" / "latest" / "quick" / "claims.json"
+    text = claims.read_text()
+    claims.write_text(text[:20])
+    done = command(project, "compare")
+    claims.write_text(text)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1 and "claims.json is damaged" in done.stderr
