@@ -152,6 +152,8 @@ def run(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, d
     for place, (number, path) in enumerate(chosen.items(), 1):
         say(f"[{place}/{len(chosen)}] chapter {number}, {options.profile}: {path.name}")
         start = time.time()
+        for old in (folder / "runs").glob(f"ch{number:02d}-*.json"):   # an experiment may have been renamed
+            old.unlink()
         try:
             notebooks.execute(path, typed[number], folder, kernel_options(options))
             missing = notebooks.missing_results(path, folder, since=start)

@@ -5,8 +5,8 @@ Sphinx and myst-nb build them from the executed notebooks and the files in `figu
 
 from __future__ import annotations
 
-import csv
 import html
+import json
 import re
 import shutil
 import subprocess
@@ -24,6 +24,7 @@ from .fingerprint import SOURCES
 from .notebooks import cell_ids, made_ids
 from .report import order, read_json, verdict_counts
 from .runs import ROOT, ReproductionError
+from .tables import Table, readable
 
 CONFIGURATION = """
 project = html_title = "Lifelong reinforcement learning on mobile robots, reproduced"
@@ -50,18 +51,24 @@ def build_book(folder: Path, reference: Path) -> Path:
     They need no network: formulas become MathML, and every picture, style and script is a file of the book.
     """
     claims = read_json(folder / "claims.json", [])
-    homes = {identifier: path.stem for path in sorted((folder / "notebooks").glob("ch*.ipynb"))
-             for identifier in made_ids(path)}
+    copies = sorted((folder / "notebooks").glob("ch*.ipynb"))
+    places = {name: (path.stem, headings[0]) for path in copies for name, headings in made_ids(path).items()}
+    pages = {"index": _front_page(folder, reference, claims, places), "claims": _claims_page(claims, places),
+             "not_reproduced": _missing_page(claims), "deviations": (ROOT / "DEVIATIONS.md").read_text(),
+             "recordings": _recordings_page(folder), "provenance": _provenance_page(folder)}
+    contents = [f"chapters/{path.stem}" for path in copies] + list(pages)[1:]
+    pages["index"] += "\n\n```{toctree}\n:hidden:\n" + "\n".join(contents) + "\n```\n"
     with tempfile.TemporaryDirectory(prefix="lifelong-book-") as temporary:
         source, out = Path(temporary, "source"), Path(temporary, "out")
-        (source / "chapters").mkdir(parents=True)
+        for name, place in (("latest", folder), ("reference", reference), ("recordings", folder / "recordings")):
+            (source / "_static" / name).mkdir(parents=True)
+            for path in sorted(place.glob("*.png")):
+                shutil.copyfile(path, source / "_static" / name / path.name)
+        shutil.copyfile(Path(__file__).with_name("book.css"), source / "_static" / "book.css")
         (source / "conf.py").write_text(CONFIGURATION)
-        _copy_pictures(folder, reference, source / "_static")
-        for path in sorted((folder / "notebooks").glob("ch*.ipynb")):
+        (source / "chapters").mkdir()
+        for path in copies:
             nbformat.write(_chapter_page(path), source / "chapters" / path.name)
-        pages = {"index": _front_page(folder, reference, claims, homes), "claims": _claims_page(claims, homes),
-                 "not_reproduced": _missing_page(claims), "deviations": (ROOT / "DEVIATIONS.md").read_text(),
-                 "recordings": _recordings_page(folder), "provenance": _provenance_page(folder)}
         for name, text in pages.items():
             (source / f"{name}.md").write_text(text)
         command = [sys.executable, "-m", "sphinx", "-b", "html", "-q", "-E", "-d", f"{temporary}/doctrees",
@@ -73,14 +80,6 @@ def build_book(folder: Path, reference: Path) -> Path:
         shutil.rmtree(folder / "book", ignore_errors=True)
         shutil.move(out, folder / "book")
     return folder / "book" / "index.html"
-
-
-def _copy_pictures(folder: Path, reference: Path, static: Path) -> None:
-    for name, place in (("latest", folder), ("reference", reference), ("recordings", folder / "recordings")):
-        (static / name).mkdir(parents=True)
-        for path in sorted(place.glob("*.png")):
-            shutil.copyfile(path, static / name / path.name)
-    shutil.copyfile(Path(__file__).with_name("book.css"), static / "book.css")
 
 
 def _chapter_page(path: Path) -> nbformat.NotebookNode:
@@ -96,123 +95,84 @@ def _chapter_page(path: Path) -> nbformat.NotebookNode:
     return notebook
 
 
-def _badge(row: dict, homes: dict[str, str]) -> str:
-    style = row["verdict"].replace(" ", "-")
-    text = f'<span class="verdict {style}">{row["id"]} {row["verdict"]}</span>'
-    return f'<a href="{_link(row["id"], homes)}" title="{html.escape(str(row["statement"]))}">{text}</a>'
+def _link(identifier: str, places: dict, inside: str, about: str = "") -> str:
+    """A link to the cell that makes a result; to the claims page when no chapter of this run does."""
+    address = f"chapters/{places[identifier][0]}.html#{identifier}" if identifier in places else "claims.html"
+    return f'<a href="{address}" title="{html.escape(about)}">{inside}</a>'
 
 
-def _link(identifier: str, homes: dict[str, str]) -> str:
-    return f"chapters/{homes[identifier]}.html#{identifier}" if identifier in homes else "claims.html"
+def _badge(verdict: str, text: str) -> str:
+    return f'<span class="verdict {verdict.replace(" ", "-")}">{text} {verdict}</span>'
 
 
 def _counts(claims: list[dict]) -> str:
-    return " ".join(f'<span class="verdict {verdict.replace(" ", "-")}">{number} {verdict}</span>'
-                    for verdict, number in verdict_counts(claims).items())
+    return " ".join(_badge(verdict, str(number)) for verdict, number in verdict_counts(claims).items())
 
 
-def _front_page(folder: Path, reference: Path, claims: list[dict], homes: dict[str, str]) -> str:
+def _front_page(folder: Path, reference: Path, claims: list[dict], places: dict) -> str:
     rests = [set(read_json(path, {})["makes"]) for path in sorted((folder / "runs").glob("*.json"))]
     compared = {row["id"]: row for row in read_json(folder / "comparison.json", {}).get("results", [])}
-    chapters = "\n".join(f"chapters/{path.stem}" for path in sorted((folder / "notebooks").glob("ch*.ipynb")))
     parts = ["# Lifelong reinforcement learning on mobile robots, reproduced",
-             f'<p>Made at the profile <b>{folder.name}</b>. <a href="claims.html">The claims of the thesis</a>: '
-             f"{_counts(claims)}</p>",
+             f"Made at the profile **{folder.name}**. [The claims of the thesis](claims.md): {_counts(claims)}",
              "Left: what this run made. Right: the committed reference. A badge is a claim that rests on the same "
              "runs; it leads to the place in the chapter where it is judged."]
-    for path in sorted(folder.glob("[FT]*.csv"), key=lambda path: order(path.stem)):
-        name, row = path.stem, compared.get(path.stem, {})
-        heading = next(iter(made_ids(folder / "notebooks" / f"{homes[name]}.ipynb")[name])) if name in homes else ""
-        badges = " ".join(_badge(c, homes) for c in claims if any({name, c["id"]} <= makes for makes in rests))
-        places = [(title, f"_static/{title}/{name}.png") for title, place in
-                  (("latest", folder), ("reference", reference)) if (place / f"{name}.png").exists()]
-        images = "".join(f'<a href="{file}"><img src="{file}" alt="{name}, {title}"></a>' for title, file in places)
+    for name in sorted((path.stem for path in folder.glob("[FT]*.csv")), key=order):
+        heading, row = places.get(name, ("", ""))[1], compared.get(name, {})
         said = "; ".join(f"{key} {row[key]}" for key in ("data", "picture") if row.get(key))
+        shown = [f"_static/{kind}/{name}.png" for kind, place in (("latest", folder), ("reference", reference))
+                 if (place / f"{name}.png").exists()]
+        images = "".join(f'<a href="{file}"><img src="{file}" alt="{name}"></a>' for file in shown)
+        badges = [_link(claim["id"], places, _badge(claim["verdict"], claim["id"]), claim["statement"])
+                  for claim in claims if any({name, claim["id"]} <= makes for makes in rests)]
         parts += [f"## {heading}" if name in heading else f"## {name} {heading}",
-                  f'<p><a href="{_link(name, homes)}">in its chapter</a> '
-                  f'<span class="same">{html.escape(said)}</span></p>',
-                  f'<div class="pair">{images}</div>' if images else _table(folder / f"{name}.csv"), badges]
-    parts.append("```{toctree}\n:hidden:\n" + chapters + "\nclaims\nnot_reproduced\ndeviations\nrecordings\n"
-                 "provenance\n```\n")
+                  f'{_link(name, places, "in its chapter")} <span class="same">{html.escape(said)}</span>',
+                  f'<div class="pair">{images}</div>' if images else (folder / f"{name}.md").read_text(),
+                  " ".join(badges)]
     return "\n\n".join(parts)
 
 
-def _rows(header: list[str], rows: list[list[str]]) -> str:
-    """An HTML table; cells are HTML already."""
-    def line(cells: list[str], tag: str) -> str:
-        return "<tr>" + "".join(f"<{tag}>{cell}</{tag}>" for cell in cells) + "</tr>"
-    body = "".join(line(row, "td") for row in rows)
-    return f'<div class="wide"><table class="table">{line(header, "th")}{body}</table></div>'
+def _measured(claim: dict) -> str:
+    low_high = ", ".join(map(readable, claim.get("interval") or []))
+    return readable(claim.get("measured")) + (f" ({low_high})" if low_high else "")
 
 
-def _table(path: Path) -> str:
-    header, *rows = [[html.escape(_number(cell)) for cell in row] for row in csv.reader(path.read_text().splitlines())]
-    return _rows(header, rows)
-
-
-def _number(value: object) -> str:
-    """A value as a reader wants it: four digits for numbers, a dash for nothing."""
-    if value is None:
-        return "–"
-    if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(map(_number, value)) + "]"
-    if isinstance(value, dict):
-        return "; ".join(f"{key}: {_number(item)}" for key, item in value.items())
-    try:
-        return f"{float(value):.4g}" if "." in str(value) or "e" in str(value) else str(value)
-    except ValueError:
-        return str(value)
-
-
-def _claims_page(claims: list[dict], homes: dict[str, str]) -> str:
-    rows = [[f'<a href="{_link(row["id"], homes)}">{row["id"]}</a>']
-            + [html.escape(_number(row.get(key))) for key in ("statement", "thesis", "measured", "interval", "n", "p")]
-            + [_badge(row, homes), html.escape(_number(row.get("control_verdict")))] for row in claims]
-    header = ["claim", "statement", "thesis", "measured", "interval", "seeds", "p", "verdict", "with it switched off"]
-    return f"# The claims\n\n<p>{_counts(claims)}</p>\n\n{_rows(header, rows)}\n"
+def _claims_page(claims: list[dict], places: dict) -> str:
+    rows = [{"claim": _link(claim["id"], places, claim["id"]), "statement": html.escape(claim["statement"]),
+             "thesis": claim.get("thesis"), "measured (interval)": _measured(claim), "seeds": claim.get("n"),
+             "p": claim.get("p"), "verdict": _badge(claim["verdict"], ""),
+             "with its cause switched off": claim.get("control_verdict")} for claim in claims]
+    return "\n\n".join(["# The claims", _counts(claims), repr(Table(rows)) if rows else "", ""])
 
 
 def _missing_page(claims: list[dict]) -> str:
-    """The claims that do not hold, each with the section of findings.md that is headed by its id."""
+    """The claims that do not hold, each with the sections of findings.md that are headed by its id."""
     path = ROOT / "data" / "thesis" / "findings.md"
-    text = path.read_text() if path.exists() else ""
-    introduction, *sections = re.split(r"^## +", text, flags=re.MULTILINE)
+    introduction, *sections = re.split(r"^## +", path.read_text() if path.exists() else "", flags=re.MULTILINE)
     findings = dict(section.partition("\n")[::2] for section in sections)
-    parts = ["# What did not reproduce and why", re.sub(r"^# .*", "", introduction, flags=re.MULTILINE).strip()]
-    for row in [row for row in claims if row["verdict"] != "holds"]:
-        said = [title for title in findings if row["id"] in re.split(r"[^\w.]+", title)]
-        why = "\n\n".join(findings[title].strip() for title in said) or (
-            "This profile is too small to decide it." if row["verdict"] == "not tested" else "Not explained yet.")
-        parts += [f"## {row['id']}: {row['verdict']}", f"<p>{html.escape(row['statement'])}</p>",
-                  f"<p>thesis {html.escape(_number(row.get('thesis')))}; measured "
-                  f"{html.escape(_number(row.get('measured')))}, interval {_number(row.get('interval'))}</p>", why]
-    parts += [f"## {title}\n{body}" for title, body in findings.items() if not re.match(r"C\d", title)]
-    return "\n\n".join(parts) + "\n"
+    parts = ["# What did not reproduce and why", re.sub(r"^# .*", "", introduction, flags=re.MULTILINE)]
+    for claim in [claim for claim in claims if claim["verdict"] != "holds"]:
+        why = [text for title, text in findings.items() if claim["id"] in re.findall(r"C\d+\.\d+", title)]
+        parts += [f"## {claim['id']}: {claim['verdict']}", html.escape(claim["statement"]),
+                  f"Thesis: {claim.get('thesis')}. Measured: {_measured(claim)}. {claim.get('remark', '')}",
+                  *(why or ["Not explained yet."] * (claim["verdict"] != "not tested"))]
+    parts += [f"## {title}\n{text}" for title, text in findings.items() if not re.match(r"C\d", title)]
+    return "\n\n".join(parts)
 
 
 def _recordings_page(folder: Path) -> str:
     parts = ["# Recordings", "Open one with `.venv/bin/rerun FILE`; the viewer's time line plays it."]
     for path in sorted((folder / "recordings").glob("*.rrd")):
-        still = path.with_suffix(".png").name
-        caption = path.with_suffix(".md")
-        parts += [f"## {path.stem}", caption.read_text() if caption.exists() else "",
-                  f'<p><a href="../recordings/{path.name}">recordings/{path.name}</a></p>',
-                  f'<p><img src="_static/recordings/{still}" alt="still of {path.stem}"></p>'
-                  if path.with_suffix(".png").exists() else ""]
-    return "\n\n".join(parts) + "\n"
+        parts += [f"## {path.stem}", f'<a href="../recordings/{path.name}">recordings/{path.name}</a>',
+                  f'<p><img src="_static/recordings/{path.stem}.png" alt="still of {path.stem}"></p>']
+    return "\n\n".join(parts)
 
 
 def _provenance_page(folder: Path) -> str:
-    made = read_json(folder / "provenance.json", {})
-    chapters = made.get("chapters", {}).items()
-    facts = [[html.escape(key), html.escape(_number(made.get(key)))]
-             for key in ("profile", "commit", "lock", "machine", "versions")]
-    runs = [[chapter, html.escape(name), *(str(counts[key]) for key in ("wanted", "computed", "read", "stale"))]
-            for chapter, entry in chapters for name, counts in entry["runs"].items()]
-    knobs = [[chapter, html.escape(_number(entry["parameters"]))] for chapter, entry in chapters]
-    header = ["chapter", "experiment", "runs", "computed", "read", "made by older code"]
-    return "\n\n".join(["# Where this comes from", _rows(["what", "value"], facts), "## Runs", _rows(header, runs),
-                        "## Parameters", _rows(["chapter", "values"], knobs), ""])
+    made = read_json(folder / "provenance.json", {"chapters": {}})
+    runs = [{"chapter": chapter, "experiment": name, **counts}
+            for chapter, entry in made["chapters"].items() for name, counts in entry["runs"].items()]
+    return "\n\n".join(["# Where this comes from", "Stale runs were made by another state of the code.",
+                        repr(Table(runs)) if runs else "", f"```json\n{json.dumps(made, indent=1)}\n```"])
 
 
 def setup(app) -> dict:

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from matplotlib.image import imread
 
-from .runs import ROOT, ReproductionError
+from .runs import ROOT, ReproductionError, write_atomically
 
 VERDICTS = ("holds", "undecided", "contradicted", "not tested")
 ACCEPTED = ("*.csv", "*.png", "*.svg", "*.md")
@@ -36,7 +36,7 @@ def read_json(path: Path, default: object) -> object:
 
 
 def write_json(path: Path, content: object) -> None:
-    path.write_text(json.dumps(content, indent=1, sort_keys=True) + "\n")
+    write_atomically(path, json.dumps(content, indent=1, sort_keys=True) + "\n")
 
 
 def chapter_of(identifier: str) -> int:
