@@ -50,6 +50,7 @@ fi
 export PYTHONHASHSEED=0 OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 NUMEXPR_NUM_THREADS=1
 export PYTHONPATH="$root${PYTHONPATH:+:$PYTHONPATH}"
 case "${1:-}" in
-    "" | -[!h]*) set -- run "$@" ;;
+    -h | --help) ;;
+    "" | -*) set -- run "$@" ;;
 esac
 exec "$python" -m lifelong_lib "$@"

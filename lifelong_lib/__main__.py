@@ -42,10 +42,6 @@ def complain(message: str, code: int) -> int:
     return code
 
 
-def say(message: str) -> None:
-    print(message, file=sys.stderr, flush=True)
-
-
 class Parser(argparse.ArgumentParser):
     """argparse, with its complaint on one line."""
 
@@ -54,7 +50,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
-    """The typed command line; `command` is the function to call with it."""
+    """The typed command line; `command` is the function to call with it, `rest` what pytest gets."""
     parser = Parser(prog="./reproduce.sh", description="Makes every figure, table and claim of the thesis afresh.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
@@ -76,7 +72,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     run = add("run", run_command, "run the notebooks, compare with the reference, write the book")
     computes(run)
     run.add_argument("--seeds", type=positive, help="seeds a configuration (default: the profile's)")
-    run.add_argument("--fresh", action="store_true", help="recompute every run, stored or not")
+    run.add_argument("--fresh", action="store_true", help="recompute what other code made, at paper too")
     run.add_argument("-p", action="append", default=[], metavar="NAME=VALUE", help="a parameter of the notebook")
     instead = run.add_mutually_exclusive_group()
     instead.add_argument("--plan", action="store_true", help="only predict the minutes")
@@ -89,12 +85,12 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     selects(add("compare", compare_command, "compare the last run with the committed reference"))
     selects(add("accept", accept_command, "make the last run the reference"))
     add("bench", bench_command, "measure the speed ratios")
-    add("test", test_command, "run the tests; what follows goes to pytest").add_argument("rest", nargs="*")
+    add("test", test_command, "run the tests; what follows goes to pytest")
     add("lab", lab_command, "open the notebooks in JupyterLab on this machine")
-    options, rest = parser.parse_known_args(arguments)
-    if rest and options.command is not test_command:
-        parser.error(f"unknown argument {rest[0]}")
-    options.rest = [*getattr(options, "rest", []), *rest]
+    arguments = sys.argv[1:] if arguments is None else arguments
+    rest = arguments[1:] if arguments[:1] == ["test"] else []
+    options = parser.parse_args(arguments[:1] if rest else arguments)
+    options.rest = rest
     if getattr(options, "address", None) and options.backend != "dask":
         parser.error("--address needs --backend dask")
     return options
@@ -150,8 +146,8 @@ def run(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, d
     folder, reference = places(options)
     finished = {}
     for place, (number, path) in enumerate(chosen.items(), 1):
-        say(f"[{place}/{len(chosen)}] chapter {number}, {options.profile}: {path.name}")
-        start = time.time()
+        start, title = time.time(), f"[{place}/{len(chosen)}] chapter {number}"
+        print(f"{title}, {options.profile}: {path.name}", file=sys.stderr, flush=True)
         for old in (folder / "runs").glob(f"ch{number:02d}-*.json"):   # an experiment may have been renamed
             old.unlink()
         try:
@@ -162,7 +158,7 @@ def run(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, d
         except ReproductionError as error:
             complain(str(error), 1)
             continue
-        say(f"[{place}/{len(chosen)}] chapter {number} made in {time.time() - start:.0f} s")
+        print(f"{title} made in {time.time() - start:.0f} s", file=sys.stderr, flush=True)
         finished[number] = typed[number]
     folder.mkdir(parents=True, exist_ok=True)
     report.write_provenance(folder, options.profile, finished)
@@ -190,9 +186,13 @@ def plan(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, 
         if not any(options.why in grid["makes"] for grid in grids):
             print(f"{options.why} rests on no stored runs: its notebook computes it every time")
         return 0
+    seen = {(grid["chapter"], grid["name"]) for grid in grids}
+    for number, path in chosen.items():
+        for name in notebooks.grid_names(path):
+            if (number, name) not in seen:
+                print(f"chapter {number}  {name:28} depends on runs that are missing; minutes unknown")
     known = sum(grid["seconds"] or 0 for grid in grids)
-    unknown = sum(grid["seconds"] is None for grid in grids)
-    print(f"about {known / 60:.1f} min to compute" + (f", and {unknown} experiments never timed" if unknown else ""))
+    print(f"about {known / 60:.1f} min to compute, as far as it is known; stored results take the time of drawing only")
     return 0
 
 
@@ -217,7 +217,7 @@ def look(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, 
             share = -(-left // (len(chosen) - place))
             left -= share
             if share or not options.audit:
-                say(f"looking into chapter {number}")
+                print(f"looking into chapter {number}", file=sys.stderr, flush=True)
                 asked = kernel_options(options, audit=share, plan="" if options.audit else str(lines))
                 notebooks.execute(path, typed[number] | {"output_dir": temporary}, Path(temporary), asked)
         return [json.loads(line) for line in lines.read_text().splitlines()] if lines.exists() else []

@@ -35,6 +35,8 @@ def experiment(config, seed):
 
 grid = [{"tasks": n, "scale": scale} for n in tasks]
 results = run_grid(chapter, "slopes", experiment, grid, makes=("F4.1", "C4.1"))"""
+SECOND = """best = [{"tasks": int(np.argmax([run.values["curve"].sum() for run in results])), "scale": scale}]
+chosen = run_grid(chapter, "chosen", experiment, best, makes=["T4.1"])"""
 FIGURE = """fig, axes = panels(1)
 rows = draw_curves(axes[0], [0, 1, 2], results.stack("curve", tasks=tasks[0]), "PG")
 save_figure(chapter, "F4.1", fig, rows)"""
@@ -71,7 +73,8 @@ def write_notebook(path: Path, cells: list[str], parameters: str | None = PARAME
 
 
 def make_project(root: Path) -> Path:
-    cells = [TITLE, SET_UP, "## The slopes", EXPERIMENT, "## A curve", FIGURE, "## A table", TABLE, CLAIM, BROKEN]
+    cells = [TITLE, SET_UP, "## The slopes", EXPERIMENT, "## A curve", FIGURE, "## A table", SECOND, TABLE, CLAIM,
+             BROKEN]
     write_notebook(root / "notebooks" / "ch04_demonstration.ipynb", cells)
     (root / "data" / "thesis").mkdir(parents=True)
     (root / "data" / "thesis" / "claims.toml").write_text(LEDGER)

@@ -106,6 +106,12 @@ def test_execution_hands_over_values_and_names_a_failing_cell(notebook, tmp_path
     assert "0.5 [7]\n" in [output.get("text") for output in outputs]
 
 
+def test_a_kernel_that_dies_is_named(tmp_path):
+    path = write_notebook(tmp_path / "ch04_dies.ipynb", [TITLE, "import os\nos._exit(1)"])
+    with pytest.raises(ReproductionError, match="ch04_dies.ipynb: the kernel died"):
+        execute(path, {}, tmp_path / "out")
+
+
 def test_nothing_runs_when_a_parameter_is_wrong(notebook, tmp_path):
     with pytest.raises(ReproductionError):
         execute(notebook, {"seeds": "many"}, tmp_path / "out")

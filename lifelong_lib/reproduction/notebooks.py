@@ -141,6 +141,12 @@ def cell_ids(source: str) -> list[str]:
     return [second.value for name, second in named if name in MAKERS and isinstance(second, ast.Constant)]
 
 
+def grid_names(path: Path) -> list[str]:
+    """The names that the notebook's code gives to its grids, as in `run_grid(chapter, "slopes", ...)`."""
+    cells = read_notebook(path).cells
+    return [name for cell in cells for name in re.findall(r'run_grid\(\s*chapter,\s*"([^"]+)"', cell.source)]
+
+
 def missing_results(path: Path, folder: Path, since: float = 0.0) -> list[str]:
     """The ids which the notebook makes but whose files (or row in claims.json) are not in `folder`, or older."""
     def fresh(name: str) -> bool:   # a second's grace: a file system's clock may lag behind ours
