@@ -114,8 +114,10 @@ def _dask(workers, address):
 
     own = {"host": "127.0.0.1", "n_workers": workers, "threads_per_worker": 1, "dashboard_address": None}
     with contextlib.ExitStack() as stack:
-        try:
+        with contextlib.ExitStack() as deaf:  # Ctrl-C is for this process: the workers inherit that they ignore it
+            deaf.callback(signal.signal, signal.SIGINT, signal.signal(signal.SIGINT, signal.SIG_IGN))
             where = address or stack.enter_context(LocalCluster(**own, silence_logs=50))
+        try:
             client = stack.enter_context(Client(where, timeout=10))
         except (OSError, ValueError) as error:
             raise ReproductionError(f"no Dask scheduler answers at {address}: start it, or use loky") from error

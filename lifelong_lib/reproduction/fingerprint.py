@@ -80,10 +80,11 @@ class _Walk:
             return f"dict {[(self.text_of(key, name), self.text_of(item, name)) for key, item in value.items()]}"
         if isinstance(value, functools.partial):
             return self.text_of((value.func, value.args, value.keywords), name)
-        if isinstance(value, types.MethodType):
-            return self.text_of((value.__self__, value.__func__), name)
         if isinstance(value, types.ModuleType):
-            return self._module_text(value, name)
+            if hasattr(value, "__path__") and _file_of(value.__name__):
+                raise self._refusal(name, "a whole package", f"import a module: from {value.__name__} import ...")
+            self._module(value.__name__)
+            return f"module {value.__name__}"
         if hasattr(value, "__wrapped__") and not inspect.isfunction(value):  # functools.cache
             return self.text_of(value.__wrapped__, name)
         if callable(value) and hasattr(value, "__qualname__"):
@@ -97,12 +98,6 @@ class _Walk:
         return ReproductionError(
             f"experiment '{self.experiment.__name__}' reads '{name}', {what}, whose changes cannot be followed: {mend}"
         )
-
-    def _module_text(self, module, name):
-        if hasattr(module, "__path__") and _file_of(module.__name__):
-            raise self._refusal(name, "a whole package", f"import the module itself: from {module.__name__} import ...")
-        self._module(module.__name__)
-        return f"module {module.__name__}"
 
     def _callable_text(self, value, name):
         module = getattr(value, "__module__", None) or ""

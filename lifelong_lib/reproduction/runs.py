@@ -142,6 +142,7 @@ def run_grid(chapter: Chapter, name: str, experiment: Callable, configs, seeds=N
     is given. Raises ReproductionError for bad arguments, a failing run, a full disk and Ctrl-C, and NotStored where the
     options `plan` and `audit` forbid computing. Whatever was stored stays.
     """
+    require(not isinstance(makes, str), f"makes must be a list of ids, not the text {makes!r}")
     options, tasks = chapter.options, _tasks(chapter, name, configs, chapter.seeds if seeds is None else seeds)
     parts = fingerprint(experiment)
     stored = {path: found for path in tasks if (found := _read(path, *tasks[path], keep="plan" in options))}

@@ -1,0 +1,85 @@
+"""Where a run is computed: alone, isolated, on one thread, stopped cleanly, and named when it fails."""
+
+import os
+import time
+
+import pytest
+
+from lifelong_lib.reproduction.backends import completed
+from lifelong_lib.reproduction.fingerprint import ReproductionError
+
+
+def run(experiment, configs, workers=1, backend="loky", address=""):
+    calls = {key: (f"run {key}", config, key) for key, config in enumerate(configs)}
+    return {key: values for key, values, _ in completed(experiment, calls, backend, workers, address)}
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_runs_use_one_thread_and_say_so_when_not(workers):
+    def threads(config, seed):
+        import threadpoolctl
+
+        if config["greedy"]:
+            threadpoolctl.threadpool_limits(2)
+        return {"threads": max(pool["num_threads"] for pool in threadpoolctl.threadpool_info())}
+
+    assert run(threads, [{"greedy": False}], workers)[0]["threads"] == 1
+    with pytest.raises(ReproductionError, match="run 0: .*one thread"):
+        run(threads, [{"greedy": True}], workers)
+
+
+def test_runs_do_not_see_each_other():
+    memory = [0]
+
+    def remembering(config, seed):
+        memory[0] += 1
+        return {"calls": memory[0]}
+
+    assert [values["calls"] for values in run(remembering, [{}] * 3).values()] == [1, 1, 1]
+
+
+def test_more_calls_than_the_queue_holds_all_come_back():
+    def echo(config, seed):
+        return {"pair": [config["i"], seed.entropy]}
+
+    found = run(echo, [{"i": i} for i in range(11)], workers=2)
+    assert {key: values["pair"].tolist() for key, values in found.items()} == {i: [i, i] for i in range(11)}
+
+
+def test_a_failing_run_stops_the_others():
+    def one_fails(config, seed):
+        if not config["seconds"]:
+            raise ValueError("soon")
+        time.sleep(config["seconds"])
+        return {"x": 1}
+
+    with pytest.raises(ReproductionError, match="run 0: ValueError: soon"):
+        run(one_fails, [{"seconds": 0}, {"seconds": 20}, {"seconds": 20}], workers=2)
+    start = time.monotonic()
+    run(one_fails, [{"seconds": 0.01}], workers=2)
+    assert time.monotonic() - start < 15  # else both workers were still asleep
+
+
+def test_a_dying_worker_is_one_line():
+    def die(config, seed):
+        os._exit(3)
+
+    with pytest.raises(ReproductionError, match="a worker process died"):
+        run(die, [{}], workers=2)
+    assert run(lambda config, seed: {"x": 1}, [{}], workers=2)[0]["x"] == 1  # and the next grid gets new workers
+
+
+@pytest.mark.parametrize("values, key", [
+    ({"net": object()}, "net"), ({"ragged": [[1], [1, 2]]}, "ragged"), ({"none": None}, "none"), ({"a/b": 1}, "a/b"),
+    ({3: 1}, "3"), ({"bytes": b"x"}, "bytes"), ({"huge": 10**30}, "huge"), ({"inner": {"x": 1}}, "inner"),
+    ([1], "dict"), ({}, "dict"),
+])  # fmt: skip
+def test_values_that_are_no_arrays_are_refused_by_name(values, key):
+    with pytest.raises(ReproductionError, match=f"^run 0: .*{key}") as caught:
+        run(lambda config, seed: values, [{}])
+    assert "\n" not in str(caught.value)
+
+
+def test_an_absent_dask_scheduler_is_one_line():
+    with pytest.raises(ReproductionError, match="no Dask scheduler answers at nowhere"):
+        run(lambda config, seed: {"x": 1}, [{}], backend="dask", address="nowhere")
