@@ -28,7 +28,8 @@ def results(folder: Path, value: str = "1.0", verdict: str = "holds", pixel: flo
 
 @pytest.mark.parametrize("value, said", [
     ("1.0", "identical"), ("1.00", "equal within 1e-9"), ("1.0000000001", "equal within 1e-9"),
-    ("1.25", "different by at most 0.25"), ("nan", "different by at most inf"), ("one", "other text: 'one' for '1.0'"),
+    ("1.00000001", "different by at most 1e-08"), ("1.25", "different by at most 0.25"),
+    ("nan", "different by at most inf"), ("one", "other text: 'one' for '1.0'"),
     ("1.0,3", "other rows or columns"), ("1.0\n3,4", "other rows or columns"),
 ])
 def test_data_are_compared_by_value(tmp_path, value, said):
