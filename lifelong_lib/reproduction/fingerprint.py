@@ -47,12 +47,9 @@ def fingerprint(experiment: Callable) -> dict[str, str]:
 
 def changes(stored: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
     """What differs between two fingerprints, e.g. ["module lifelong_lib.transfer.ella changed"]; empty when equal."""
-    both = sorted(stored.keys() | now.keys())
-    return [
-        f"{part} {'is new' if part not in stored else 'is gone' if part not in now else 'changed'}"
-        for part in both
-        if stored.get(part) != now.get(part)
-    ]
+    differ = [part for part in sorted(stored.keys() | now.keys()) if stored.get(part) != now.get(part)]
+    return [f"{part} {'changed' if part in stored and part in now else 'is new' if part in now else 'is gone'}"
+            for part in differ]  # fmt: skip
 
 
 def sha256(data: bytes | str) -> str:

@@ -161,8 +161,8 @@ def run_grid(chapter: Chapter, name: str, experiment: Callable, configs, seeds=N
         runs |= _compute_and_store(chapter, name, experiment, todo, parts)
         kept = len(stale) - len(redone)
         grid |= {"computed": len(todo), "read": len(tasks) - len(todo), "stale": kept, "workers": chapter.workers}
-        grid |= {"seconds": time.perf_counter() - start}
-        grid |= {"seconds_per_run": float(np.mean([run.seconds for run in runs.values()]))}
+        each = float(np.mean([run.seconds for run in runs.values()]))
+        grid |= {"seconds": time.perf_counter() - start, "seconds_per_run": each}
         if kept:
             cause = f"made by another state of the code ({', '.join(causes)})"
             _warn(f"{kept} of {len(tasks)} runs of '{name}' were {cause}: kept and counted, --fresh recomputes them")
@@ -173,8 +173,7 @@ def run_grid(chapter: Chapter, name: str, experiment: Callable, configs, seeds=N
 
 def run_card(chapter: Chapter) -> str:
     """What a chapter is made with, a line each: profile, seeds, workers, backend, commit, versions; no date."""
-    git = ["git", "-C", str(ROOT), "describe", "--always", "--dirty"]
-    commit = "unknown"
+    git, commit = ["git", "-C", str(ROOT), "describe", "--always", "--dirty"], "unknown"
     with contextlib.suppress(OSError, subprocess.CalledProcessError):
         commit = subprocess.run(git, capture_output=True, text=True, check=True).stdout.strip()
     card = {"profile": chapter.profile, "seeds": chapter.seeds or "as the profile says", "workers": chapter.workers}
@@ -334,7 +333,8 @@ def _audit(chapter, name, experiment, tasks, runs, stale):
     """Recompute this grid's share of K stored runs drawn from the whole chapter; the verdicts go to audit.jsonl."""
     if missing := len(tasks) - len(runs):
         raise NotStored(f"{missing} of {len(tasks)} runs of '{name}' are not stored: run the chapter before its audit")
-    drawn, rows = _drawn(chapter.results, chapter.options["audit"]), []
+    files, number = sorted(chapter.results.glob("*/*.npz")), chapter.options["audit"]  # the same for every grid
+    drawn, rows = {files[i] for i in np.random.default_rng(number).permutation(len(files))[:number]}, []
     share = {path: task for path, task in tasks.items() if path in drawn}
     for path, values, _ in _completed(chapter, name, experiment, share):
         old, new = ({key: _npz({"": array}) for key, array in found.items()} for found in (runs[path].values, values))
@@ -342,12 +342,6 @@ def _audit(chapter, name, experiment, tasks, runs, stale):
         row = {"chapter": chapter.number, "name": name, "run": path.stem, "same": not differs, "differs": differs}
         rows.append(row | {"stale": path in stale})
     _append(chapter.folder / "audit.jsonl", sorted(rows, key=lambda row: row["run"]))
-
-
-@functools.cache  # drawn once, before the first grid, for all grids of a chapter
-def _drawn(results, number) -> set[Path]:
-    files = sorted(results.glob("*/*.npz"))
-    return {files[i] for i in np.random.default_rng(number).permutation(len(files))[:number]}
 
 
 def _completed(chapter, name, experiment, tasks):
