@@ -1,0 +1,64 @@
+"""The dynamical systems as Gymnasium environments: lifelong_lib/SpringMassDamper-v0, -/CartPole-v0, -/Bicycle-v0 and
+-/Quadrotor-v0, registered when this module is imported. Each takes the very step that `Tasks.roll_out` takes.
+"""
+
+import gymnasium as gym
+import numpy as np
+
+from lifelong_lib.environments.dynamical_systems import START_SPREAD, SYSTEMS, Tasks, draw_tasks, reward
+
+IDS = {
+    "spring-mass-damper": "lifelong_lib/SpringMassDamper-v0",
+    "cart-pole": "lifelong_lib/CartPole-v0",
+    "bicycle": "lifelong_lib/Bicycle-v0",
+    "quadrotor": "lifelong_lib/Quadrotor-v0",
+}
+STEPS = 100  # an episode is truncated after so many
+
+
+class DynamicalSystem(gym.Env):
+    """One task of a system at a time. Observation: the state (d_x,); action (d_a,); both in the units of the system and
+    without limits, as the tasks have none.
+
+    ``parameters``: the physical parameters (p,) of the task in the units of the system, or None to draw a task from the
+    system's ranges at every reset. Raises ValueError if they are not p positive numbers. Every ``info`` holds the
+    task's parameters as {"parameters": {"cart mass [kg]": 0.5, ...}}.
+    """
+
+    def __init__(self, system: str, parameters=None):
+        self.system = SYSTEMS[system]
+        self.parameters = None if parameters is None else np.array(parameters, float)
+        if self.parameters is not None:
+            if self.parameters.shape != (len(self.system.parameters),):
+                wanted = ", ".join(f"{name} [{unit}]" for name, unit, *_ in self.system.parameters)
+                raise ValueError(f"{system}: parameters must be {wanted}, got {parameters}")
+            Tasks(self.system, self.parameters[None], np.zeros((1, len(self.system.state))))  # refuses what is not > 0
+        self.observation_space = gym.spaces.Box(-np.inf, np.inf, (len(self.system.state),), np.float64)
+        self.action_space = gym.spaces.Box(-np.inf, np.inf, (len(self.system.actions),), np.float64)
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None):
+        """Return (state, info) at a start of the task's own; the same seed gives the same task and start."""
+        super().reset(seed=seed)
+        task = draw_tasks(self.system, 1, self.np_random)
+        if self.parameters is not None:
+            task = Tasks(self.system, self.parameters[None], task.starts)
+        self.derivative = self.system.dynamics(task.parameters)
+        self.state = task.starts[0] + START_SPREAD * self.np_random.standard_normal(len(self.system.state))
+        pairs = zip(self.system.parameters, task.parameters[0].tolist(), strict=True)
+        self.named = {f"{name} [{unit}]": value for (name, unit, *_), value in pairs}
+        return self.state.copy(), {"parameters": dict(self.named)}
+
+    def step(self, action):
+        """Return (state, reward, False, False, info): tasks have no end of their own; a wrapper truncates episodes."""
+        action = np.asarray(action, float)
+        if action.shape != self.action_space.shape or not np.isfinite(action).all():
+            raise ValueError(f"{self.system.name}: actions must be finite and {self.action_space.shape}, got {action}")
+        change = self.derivative(self.state[None, None], action[None, None])[0, 0]
+        self.state = self.state + change * self.system.step_seconds
+        self.system.constrain(self.state)
+        gained = float(reward(self.system, self.state, action))
+        return self.state.copy(), gained, False, False, {"parameters": dict(self.named)}
+
+
+for _system, _id in IDS.items():
+    gym.register(_id, f"{__name__}:DynamicalSystem", kwargs={"system": _system}, max_episode_steps=STEPS)
