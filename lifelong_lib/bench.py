@@ -1,0 +1,120 @@
+"""Speed as ratios measured in one run: medians over repetitions that alternate between the two sides."""
+
+import os
+from itertools import chain
+from time import perf_counter
+from typing import NamedTuple
+
+import gymnasium as gym
+import numpy as np
+
+from lifelong_lib.environments.dynamical_systems import SYSTEMS, draw_tasks
+from lifelong_lib.environments.gymnasium_envs import IDS, STEPS
+from lifelong_lib.transfer.dictionary import Dictionary, sparse_code
+from lifelong_lib.transfer.ella import ELLA
+
+D, SPARSITY, RIDGE = 40, 0.1, 1e-3  # of ELLA: size of a policy and the two penalties
+
+
+class Row(NamedTuple):
+    """One promise: ``measured`` is to be "at least" or "at most" (``bound``) the ``limit``."""
+    what: str
+    measured: float
+    bound: str
+    limit: float
+
+    @property
+    def ok(self) -> bool:
+        return self.measured >= self.limit if self.bound == "at least" else self.measured <= self.limit
+
+
+def main() -> list[Row]:
+    """Measure, print a line a promise, and return the rows."""
+    load, rows = os.getloadavg()[0], []
+    for row in chain(batched_roll_outs(), many_tasks(), dense_inverse("full", 3), dense_inverse("identity", 10)):
+        rows.append(row)
+        print(f"{'ok' if row.ok else 'MISSED':7}{row.measured:<9.3g}{row.bound} {row.limit:<6g} {row.what}", flush=True)
+    advice = "; the machine was loaded: measure again when nothing else runs" * (load > 0.5)
+    print(f"load before: {load:.1f} on {os.cpu_count()} cores{advice}")
+    return rows
+
+
+def medians(repetitions: int, *sides) -> np.ndarray:
+    """Median seconds of each side; they are called in turn, after one call of each to warm up."""
+    seconds = np.empty((repetitions + 1, len(sides)))
+    for turn, side in np.ndindex(*seconds.shape):
+        start = perf_counter()
+        sides[side]()
+        seconds[turn, side] = perf_counter() - start
+    return np.median(seconds[1:], axis=0)
+
+
+def batched_roll_outs(count: int = 40, n: int = 100, repetitions: int = 5):
+    """Every system: seconds a step of a Gymnasium environment in a loop, over those of a batch of tasks."""
+    for name, system in SYSTEMS.items():
+        tasks, policy = draw_tasks(system, count, np.random.default_rng(0)), np.full(system.policy_size, -0.1)
+        env, gains = gym.make(IDS[name], parameters=tasks.parameters[0]), policy.reshape(len(system.actions), -1)
+
+        def batch(tasks=tasks, policy=policy):
+            tasks.roll_out(np.tile(policy, (count, 1)), n, [*map(np.random.default_rng, range(count))], 0.1, STEPS)
+
+        def loop(env=env, gains=gains):
+            state, _ = env.reset(seed=0)
+            for noise in 0.1 * np.random.default_rng(0).standard_normal((STEPS, len(gains))):
+                state = env.step(gains @ state + noise)[0]
+        together, alone = medians(repetitions, batch, loop)
+        yield Row(f"{name}: a step of a batch against a Gymnasium loop", alone * count * n / together, "at least", 30)
+
+
+def solutions(count: int, columns: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Parameters (D,) of tasks that share ``columns``, and Hessians (D, D)."""
+    rng = np.random.default_rng(1)
+    shared, roots = rng.standard_normal((D, columns)), rng.standard_normal((count, D, D))
+    parameters = rng.standard_normal((count, columns)) @ shared.T + 0.1 * rng.standard_normal((count, D))
+    return list(zip(parameters, np.eye(D) + roots @ roots.swapaxes(1, 2) / D, strict=True))
+
+
+def many_tasks(few: int = 10, many: int = 1000, columns: int = 4, repetitions: int = 200):
+    """Seconds of an update at T = ``many`` over those at T = ``few``; known tasks are met again, so that T stays."""
+    known, learners = solutions(many, columns), [ELLA(columns, SPARSITY, RIDGE) for _ in range(2)]
+    for learner, count in zip(learners, (few, many), strict=True):
+        for task, solution in enumerate(known[:count]):
+            learner.partial_fit(task, *solution)
+    turns = iter(np.repeat(np.arange(repetitions + 1), 2))
+    sides = [lambda one=one: one.partial_fit((turn := next(turns)) % few, *known[turn]) for one in learners]
+    small, large = medians(repetitions, *sides)
+    yield Row(f"ELLA: time of an update at T = {many} against T = {few}", large / small, "at most", 1.1)
+
+
+class DenseDictionary(Dictionary):
+    """Equations 2.13-2.15 word by word: Kronecker products and the inverse of the (kd, kd) matrix."""
+
+    def add(self, code, target, weight, sign=1):
+        self.A += sign * np.kron(np.outer(code, code), weight)
+        self.b += sign * np.outer(code, weight @ target)
+
+    def solve(self, n_tasks):
+        inverse = np.linalg.inv(self.A / n_tasks + self.ridge * np.eye(len(self.A)))
+        self.basis = (inverse @ self.b.ravel() / n_tasks).reshape(self.b.shape).T
+
+
+def dense_inverse(hessians: str, limit: float, tasks: int = 40, columns: int = 10, repetitions: int = 30):
+    """Whole updates of a task met again (code it, exchange its part of A and b, solve), with either dictionary."""
+    known, learner = solutions(tasks, columns), ELLA(columns, SPARSITY, RIDGE, hessian=hessians == "full")
+    dense = DenseDictionary(D, columns, RIDGE, "full", np.random.default_rng(0))
+    weights = [gamma if learner.hessian else np.diag(gamma).mean() * np.eye(D) for _, gamma in known]
+    for task, solution in enumerate(known):
+        dense.add(learner.partial_fit(task, *solution).codes_[task], solution[0], weights[task])
+    dense.solve(tasks)
+    difference = np.abs(dense.basis - learner.basis_).max() / np.abs(learner.basis_).max()
+    (alpha, gamma), weight, code = known[0], weights[0], learner.codes_[0]
+
+    def dense_update():
+        nonlocal code
+        dense.add(code, alpha, weight, sign=-1)
+        code = sparse_code(alpha, dense.basis, weight, SPARSITY)
+        dense.add(code, alpha, weight)
+        dense.solve(tasks)
+    ours, theirs = medians(repetitions, lambda: learner.partial_fit(0, alpha, gamma), dense_update)
+    yield Row(f"ELLA, {hessians} Hessians: an update against the dense inverse", theirs / ours, "at least", limit)
+    yield Row(f"ELLA, {hessians} Hessians: difference from the dense inverse", difference, "at most", 1e-8)

@@ -1,0 +1,54 @@
+"""The bench at a toy scale: rows, verdicts and equal results. No test looks at a clock."""
+
+import numpy as np
+import pytest
+
+from lifelong_lib import bench
+from lifelong_lib.bench import Row
+
+
+def test_a_row_is_judged_by_its_bound():
+    assert Row("", 30, "at least", 30).ok and not Row("", 29.9, "at least", 30).ok
+    assert Row("", 1.1, "at most", 1.1).ok and not Row("", 1.11, "at most", 1.1).ok
+
+
+def test_medians_come_from_alternating_calls_without_the_warming_up(monkeypatch):
+    clock, calls = [0.0], []
+    monkeypatch.setattr(bench, "perf_counter", lambda: clock[0])
+
+    def side(name, durations):
+        def call():
+            calls.append(name)
+            clock[0] += next(durations)
+        return call
+
+    first, second = side("a", iter([100, 1, 9, 2])), side("b", iter([100, 5, 3, 4]))
+    assert bench.medians(3, first, second).tolist() == [2, 4]
+    assert calls == ["a", "b"] * 4
+
+
+@pytest.mark.filterwarnings("ignore:Objective did not converge")
+def test_every_promise_is_measured_and_dense_and_fast_updates_agree(monkeypatch, capsys):
+    small = {"batched_roll_outs": {"count": 2, "n": 2, "repetitions": 1}, "many_tasks": {"many": 12, "repetitions": 2},
+             "dense_inverse": {"tasks": 6, "columns": 2, "repetitions": 2}}
+    for name, sizes in small.items():
+        measure = getattr(bench, name)
+        monkeypatch.setattr(bench, name, lambda *given, measure=measure, sizes=sizes: measure(*given, **sizes))
+    rows = bench.main()
+    assert [(row.bound, row.limit) for row in rows] == [
+        *[("at least", 30)] * 4, ("at most", 1.1),
+        ("at least", 3), ("at most", 1e-8), ("at least", 10), ("at most", 1e-8)]
+    assert all(np.isfinite(row.measured) and row.measured > 0 for row in rows)
+    assert all(row.ok for row in rows if row.limit == 1e-8), "results are equal"
+    printed = capsys.readouterr().out.splitlines()
+    assert len(printed) == len(rows) + 1 and all(row.what in line for row, line in zip(rows, printed, strict=False))
+    assert printed[-1].startswith("load before: ")
+
+
+@pytest.mark.parametrize(("load", "said"), [(0.1, False), (1.7, True)])
+def test_a_loaded_machine_is_named(load, said, monkeypatch, capsys):
+    for name in ("batched_roll_outs", "many_tasks", "dense_inverse"):
+        monkeypatch.setattr(bench, name, lambda *_: iter(()))
+    monkeypatch.setattr(bench.os, "getloadavg", lambda: (load, 0, 0))
+    assert bench.main() == []
+    assert ("loaded: measure again when nothing else runs" in capsys.readouterr().out) == said
