@@ -27,7 +27,7 @@ def domain_one(count: int, rng: np.random.Generator, d: int = 8) -> Classificati
     return ClassificationTasks(theta, theta)
 
 
-def domain_two(count: int, rng: np.random.Generator, d: int = 8, d_m: int = 8, k: int = 4, active: int = 2):
+def domain_two(count: int, rng: np.random.Generator, d: int = 8, d_m: int = 8, k: int = 6, active: int = 2):
     """Synthetic domain 2: models L s and descriptors D s with ``active`` of k codes not zero; all normal draws."""
     L, D = rng.standard_normal((d, k)), rng.standard_normal((d_m, k))
     codes = rng.standard_normal((count, k))

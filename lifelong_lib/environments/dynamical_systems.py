@@ -242,7 +242,7 @@ CART_POLE = System(
         Quantity("angular rate", "rad/s"),
     ),
     actions=(Quantity("force", "N"),),
-    step_seconds=0.01,
+    step_seconds=0.02,
     dynamics=_linear(_cart_pole),
     constrain=_limits({0: 5.0, 1: 10.0, 3: 15.0}, (2,)),
     draw_start=lambda rng, size: np.pi / 8 * rng.random((size, 4)),
@@ -276,7 +276,7 @@ QUADROTOR = System(
     actions=(Quantity("roll force", "N"), Quantity("pitch force", "N"), Quantity("yaw torque", "N m")),
     step_seconds=0.002,
     dynamics=_quadrotor,
-    constrain=_limits({}, (0, 1, 2)),
+    constrain=_limits({3: 20.0, 4: 20.0, 5: 20.0}, (0, 1, 2)),
     draw_start=lambda rng, size: 1.5 * rng.random((size, 6)),
 )
 SYSTEMS = {system.name: system for system in (SPRING_MASS_DAMPER, CART_POLE, BICYCLE, QUADROTOR)}

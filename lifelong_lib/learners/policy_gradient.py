@@ -136,8 +136,9 @@ class PolicyGradient:
 
         A task met again goes on from its own policy. As a single-task learner owes nothing to other tasks, the v-th
         meetings of all tasks run as one batch; generators of their own make that equal to one after another. Gamma is
-        scaled to mean diagonal 1: the returns of different tasks have no common scale, and without it the worst
-        policies, which have the largest states, would decide the dictionary alone.
+        scaled to mean diagonal 1 and averaged with I: returns of different tasks have no common scale, so that the
+        worst policies, with the largest states, would decide the dictionary alone, and few of them leave the direction
+        of their fall, so that the others would go without any weight.
         """
         current, met = policies.copy(), np.bincount(order, minlength=len(policies))
         learned = {}
@@ -147,7 +148,7 @@ class PolicyGradient:
             current[chosen] = self.learn(batch, current[chosen], own)[0][-1]
             hessians = reward_weighted_hessian(batch.roll_out(current[chosen], self.n, own, self.noise), self.noise)
             for t, hessian in zip(chosen, hessians, strict=True):
-                learned[t, visit] = current[t].copy(), hessian / np.diag(hessian).mean()
+                learned[t, visit] = current[t].copy(), (hessian / np.diag(hessian).mean() + np.eye(len(hessian))) / 2
         visits = [order[: i + 1].count(t) for i, t in enumerate(order)]
         return [(t, *learned[t, visit]) for t, visit in zip(order, visits, strict=True)]
 

@@ -330,7 +330,10 @@ def _plan(chapter, grid, runs, stale, todo):
 
 
 def _audit(chapter, name, experiment, tasks, runs, stale):
-    """Recompute this grid's share of K stored runs drawn from the whole chapter; the verdicts go to audit.jsonl."""
+    """Recompute this grid's share of K stored runs drawn from the whole chapter; the verdicts go to audit.jsonl.
+
+    Values whose names begin with `seconds` are measured times and not compared.
+    """
     if missing := len(tasks) - len(runs):
         raise NotStored(f"{missing} of {len(tasks)} runs of '{name}' are not stored: run the chapter before its audit")
     files, number = sorted(chapter.results.glob("*/*.npz")), chapter.options["audit"]  # the same for every grid
@@ -338,7 +341,8 @@ def _audit(chapter, name, experiment, tasks, runs, stale):
     share = {path: task for path, task in tasks.items() if path in drawn}
     for path, values, _ in _completed(chapter, name, experiment, share):
         old, new = ({key: _npz({"": array}) for key, array in found.items()} for found in (runs[path].values, values))
-        differs = sorted(key for key in old.keys() | new.keys() if old.get(key) != new.get(key))
+        measured = {key for key in old if key.startswith("seconds")}  # a time never comes out the same
+        differs = sorted(key for key in (old.keys() | new.keys()) - measured if old.get(key) != new.get(key))
         row = {"chapter": chapter.number, "name": name, "run": path.stem, "same": not differs, "differs": differs}
         rows.append(row | {"stale": path in stale})
     _append(chapter.folder / "audit.jsonl", sorted(rows, key=lambda row: row["run"]))

@@ -6,7 +6,7 @@ task says how much each direction of a - L s matters: a matrix (d, d), or a numb
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
-from sklearn.linear_model import Lasso
+from sklearn.linear_model import LassoLars
 
 DEAD_NORM = 1e-8  # a column shorter than this carries no knowledge and is drawn anew
 
@@ -21,14 +21,14 @@ def sparse_code(target: np.ndarray, basis: np.ndarray, weight, sparsity: float) 
     """Return s (k,) = argmin ||target - basis s||^2_weight + sparsity ||s||_1 (equation 2.12).
 
     ``target`` (d,), ``basis`` (d, k), ``weight`` (d, d) or a number. scikit-learn's lasso divides the squared error by
-    twice the number of rows, hence the scaling of the penalty.
+    twice the number of rows, hence the scaling of the penalty. Least angles, not coordinate descent: columns of a
+    young dictionary are nearly parallel, where the latter needs more rounds than it gets.
     """
     root = symmetric_root(weight) if np.ndim(weight) else np.sqrt(weight)
     target, basis = (root @ target, root @ basis) if np.ndim(weight) else (root * target, root * basis)
     if not np.any(basis):
         return np.zeros(basis.shape[1])
-    lasso = Lasso(alpha=sparsity / (2 * len(target)), fit_intercept=False, tol=1e-8, max_iter=20_000)
-    return lasso.fit(basis, target).coef_
+    return LassoLars(alpha=sparsity / (2 * len(target)), fit_intercept=False).fit(basis, target).coef_
 
 
 def reconstruction_loss(target: np.ndarray, basis: np.ndarray, code: np.ndarray, weight) -> float:
