@@ -101,7 +101,8 @@ def test_tademtl_predicts_unseen_tasks_from_their_own_descriptors_only(shuffled)
 
 def test_it_stops_when_the_objective_hardly_changes():
     theta, _, hessians = factored_world(12)
-    one = MultiTask(2, 0.05, ridge=1e-3, max_rounds=200, tolerance=1e-3).fit(theta, hessians)
+    one = MultiTask(2, 0.05, ridge=1e-3, max_rounds=200, tolerance=1e-3).fit(30 * theta, hessians)
+    assert one.objectives_[-1] > 10, "so that relative and absolute changes differ"
     changes = np.abs(np.diff(one.objectives_)) / one.objectives_[1:]
     assert 2 <= len(one.objectives_) < 200 and changes[-1] <= 1e-3 and (changes[:-1] > 1e-3).all()
 
