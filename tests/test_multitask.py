@@ -71,8 +71,8 @@ def test_neither_codes_nor_dictionaries_alone_can_improve_the_end(both):
         return total
 
     for _ in range(30):
-        assert value(change_codes=3e-3 * rng.standard_normal(codes.shape)) > value()
-        assert value(change_basis=3e-3 * rng.standard_normal(one.basis_.shape)) > value()
+        assert value(change_codes=3e-2 * rng.standard_normal(codes.shape)) > value()
+        assert value(change_basis=3e-2 * rng.standard_normal(one.basis_.shape)) > value()
 
 
 def test_go_mtl_recovers_parameters_that_factorise():
