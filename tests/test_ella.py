@@ -275,6 +275,16 @@ def test_the_file_holds_plain_arrays_and_no_pickle(kind, tmp_path):
         assert all(name.endswith(".npy") for name in archive.namelist())
 
 
+def test_generators_and_numpys_integers_as_settings_are_kept(tmp_path):
+    one = learner("ELLA", n_components=np.int64(k), random_state=np.random.default_rng(3))
+    meet_all(one, [0])
+    one.save(tmp_path / "learner.npz")
+    loaded = ELLA.load(tmp_path / "learner.npz")
+    for both in (one, loaded):
+        meet_all(both, [1, 0], seed=1)
+    assert state(loaded) == state(one) and loaded.n_components == k
+
+
 def test_a_file_of_another_class_is_refused(tmp_path):
     one = learner("TaDeLL")
     meet_all(one, [0])
@@ -313,6 +323,25 @@ def test_a_task_of_another_size_is_refused():
     meet_all(one, [0])
     with pytest.raises(ValueError, match="task 'b' has 5 numbers, earlier ones had 4"):
         one.partial_fit("b", np.ones(5), np.eye(5))
+
+
+def test_a_refused_descriptor_leaves_the_learner_as_it_was():
+    one = learner("TaDeLL")
+    meet_all(one, [0, 1])
+    before = state(one)
+    with pytest.raises(ValueError, match="task 0 has 6 numbers, earlier ones had 5"):
+        one.partial_fit(0, np.ones(d), np.eye(d), np.ones(d_m + 1))
+    assert state(one) == before
+
+
+def test_prediction_wants_tasks_with_descriptors_and_a_descriptor_like_theirs():
+    with pytest.raises(ValueError, match="no task with a descriptor has been learned yet"):
+        learner("TaDeLL").predict(np.ones(d_m))
+    one = learner("TaDeLL")
+    meet_all(one, [0])
+    for descriptor in (np.ones(d_m + 1), np.full(d_m, np.nan), 1.0):
+        with pytest.raises(ValueError, match="a descriptor here is 5 finite numbers, got"):
+            one.predict(descriptor)
 
 
 @pytest.mark.parametrize("descriptor", [np.ones((2, 2)), np.array([1, np.nan, 1, 1, 1]), 3.0])

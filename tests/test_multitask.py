@@ -121,6 +121,26 @@ def test_more_columns_than_tasks_and_numbers_can_be_fitted():
     assert one.basis_.shape == (SIZE, 10) and explained(policies(one), theta) > 0.99
 
 
+@pytest.mark.parametrize("both", [False, True], ids=["GO-MTL", "TaDeMTL"])
+def test_it_can_be_saved_and_go_on_one_task_at_a_time(both, tmp_path):
+    theta, descriptors, hessians = factored_world(11)
+    views = (theta, hessians, descriptors) if both else (theta, hessians)
+    one = MultiTask(3, max_rounds=5).fit(*(view[:10] for view in views))
+    one.save(tmp_path / "learner.npz")
+    loaded = MultiTask.load(tmp_path / "learner.npz")
+    if both:
+        for each in (one, loaded):
+            each.partial_fit(10, *(view[10] for view in views)).partial_fit(2, *(view[3] for view in views))
+        assert one.n_tasks_ == 11
+    assert np.array_equal(one.basis_, loaded.basis_) and np.array_equal(policies(one), policies(loaded))
+
+
+def test_go_mtl_has_nothing_to_predict_from():
+    theta, descriptors, hessians = factored_world(4)
+    with pytest.raises(ValueError, match="no task with a descriptor has been learned yet"):
+        MultiTask(2).fit(theta, hessians).predict(descriptors[0])
+
+
 def test_parameters_without_a_hessian_each_are_refused():
     theta, _, hessians = factored_world(4)
     with pytest.raises(ValueError):

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import expm
 
 GRAVITY = 9.81  # [m/s^2]
 BICYCLE_SPEED = 20.0  # [m/s] forward speed, constant
@@ -42,10 +43,10 @@ class Trajectories(NamedTuple):
 class System:
     """A family of tasks that share state, actions and equations of motion.
 
-    ``dynamics(parameters (T, p))`` returns a function of states (T, n, d_x) and actions (T, n, d_a) that gives the
-    time derivative of the state, stepped by Euler's rule; ``constrain`` keeps states in range in place;
-    ``draw_start(rng, size)`` draws the start state of each of ``size`` tasks; ``action_cost`` is the weight of the
-    action's norm in the reward (0 in the thesis, 1 in the lab's code).
+    ``dynamics(parameters (T, p), seconds)`` returns a function of states (T, n, d_x) and actions (T, n, d_a) that gives
+    the states ``seconds`` later; ``constrain`` keeps states in range in place; ``draw_start(rng, size)`` draws the start
+    state of each of ``size`` tasks; ``action_cost`` is the weight of the action's norm in the reward (0 in the thesis, 1
+    in the lab's code).
     """
 
     name: str
@@ -115,15 +116,14 @@ class Tasks:
         if not np.isfinite(policies).all():
             raise ValueError(f"{system.name}: a policy has parameters that are not finite; was the step too large?")
         gains = policies.reshape(T, d_a, d_x).swapaxes(1, 2)
-        derivative = system.dynamics(self.parameters)
+        advance = system.dynamics(self.parameters, system.step_seconds)
         states, actions = np.empty((steps + 1, T, n, d_x)), np.empty((steps, T, n, d_a))
         for t, rng in enumerate(rngs):
             states[0, t] = self.starts[t] + START_SPREAD * rng.standard_normal((n, d_x))
             actions[:, t] = noise * rng.standard_normal((steps, n, d_a))
         for h in range(steps):
             actions[h] += states[h] @ gains
-            np.multiply(derivative(states[h], actions[h]), system.step_seconds, out=states[h + 1])
-            states[h + 1] += states[h]
+            states[h + 1] = advance(states[h], actions[h])
             system.constrain(states[h + 1])
         rewards = reward(system, states[1:], actions)
         return Trajectories(states.transpose(1, 2, 0, 3), actions.transpose(1, 2, 0, 3), rewards.transpose(1, 2, 0))
@@ -142,13 +142,17 @@ def draw_tasks(system: System, count: int, rng: np.random.Generator) -> Tasks:
 
 
 def _linear(matrices: Callable) -> Callable:
-    """Turn ``matrices(parameters) -> (A, B)`` into dynamics x' = A x + B u."""
+    """Turn ``matrices(parameters) -> (A, B)`` into exact steps of x' = A x + B u with the action held (no Euler error)."""
 
-    def dynamics(parameters):
-        A, B = (matrix.swapaxes(1, 2) for matrix in matrices(*parameters.T))
-        return lambda states, actions: states @ A + actions @ B
+    def steps(parameters, seconds):
+        A, B = matrices(*parameters.T)
+        d_x, d_a = B.shape[1:]
+        block = np.zeros((len(parameters), d_x + d_a, d_x + d_a))
+        block[:, :d_x] = np.concatenate([A, B], axis=2) * seconds
+        held = expm(block)[:, :d_x].swapaxes(1, 2)
+        return lambda states, actions: states @ held[:, :d_x] + actions @ held[:, d_x:]
 
-    return dynamics
+    return steps
 
 
 def _stack(rows: list[list]) -> np.ndarray:
@@ -185,8 +189,8 @@ def _bicycle(mass, x, z, wheelbase, trail, head_angle):
     return _stack([[0, 1], [tilt / J, -D * V * GRAVITY / q / J]]), _stack([[0 * J, 0], [torque / J, torque_rate / J]])
 
 
-def _quadrotor(parameters):
-    """Attitude of Bouabdallah and Siegwart's quadrotor; actions are rotor force differences and the yaw torque."""
+def _quadrotor(parameters, seconds):
+    """Attitude of Bouabdallah and Siegwart's quadrotor, by Euler's rule; two rotor force differences and a torque."""
     Ixx, Iyy, Izz, arm = parameters.T[:, :, None]
 
     def derivative(states, actions):
@@ -198,7 +202,7 @@ def _quadrotor(parameters):
         change[..., 5] = p * q * (Ixx - Iyy) / Izz + actions[..., 2] / Izz
         return change
 
-    return derivative
+    return lambda states, actions: states + seconds * derivative(states, actions)
 
 
 def _limits(clipped: dict[int, float], wrapped: Sequence[int]) -> Callable:
@@ -222,7 +226,7 @@ SPRING_MASS_DAMPER = System(
     ),
     state=(Quantity("position", "m"), Quantity("velocity", "m/s")),
     actions=(Quantity("force", "N"),),
-    step_seconds=0.15,
+    step_seconds=0.2,
     dynamics=_linear(_spring_mass_damper),
     constrain=_limits({0: 20.0, 1: 20.0}, ()),
     draw_start=lambda rng, size: rng.random((size, 2)),

@@ -42,7 +42,7 @@ class DynamicalSystem(gym.Env):
         task = draw_tasks(self.system, 1, self.np_random)
         if self.parameters is not None:
             task = Tasks(self.system, self.parameters[None], task.starts)
-        self.derivative = self.system.dynamics(task.parameters)
+        self.advance = self.system.dynamics(task.parameters, self.system.step_seconds)
         self.state = task.starts[0] + START_SPREAD * self.np_random.standard_normal(len(self.system.state))
         pairs = zip(self.system.parameters, task.parameters[0].tolist(), strict=True)
         self.named = {f"{name} [{unit}]": value for (name, unit, *_), value in pairs}
@@ -53,8 +53,7 @@ class DynamicalSystem(gym.Env):
         action = np.asarray(action, float)
         if action.shape != self.action_space.shape or not np.isfinite(action).all():
             raise ValueError(f"{self.system.name}: actions must be finite and {self.action_space.shape}, got {action}")
-        change = self.derivative(self.state[None, None], action[None, None])[0, 0]
-        self.state = self.state + change * self.system.step_seconds
+        self.state = self.advance(self.state[None, None], action[None, None])[0, 0].copy()
         self.system.constrain(self.state)
         gained = float(reward(self.system, self.state, action))
         return self.state.copy(), gained, False, False, {"parameters": dict(self.named)}

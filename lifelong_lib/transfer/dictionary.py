@@ -4,9 +4,12 @@ A task's vector a (its policy, or its descriptor) is coded as a = L s with few n
 task says how much each direction of a - L s matters: a matrix (d, d), or a number w that stands for w I.
 """
 
+import warnings
+
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
-from sklearn.linear_model import LassoLars
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.linear_model import lars_path_gram, lasso_path
 
 DEAD_NORM = 1e-8  # a column shorter than this carries no knowledge and is drawn anew
 
@@ -28,7 +31,14 @@ def sparse_code(target: np.ndarray, basis: np.ndarray, weight, sparsity: float) 
     target, basis = (root @ target, root @ basis) if np.ndim(weight) else (root * target, root * basis)
     if not np.any(basis):
         return np.zeros(basis.shape[1])
-    return LassoLars(alpha=sparsity / (2 * len(target)), fit_intercept=False).fit(basis, target).coef_
+    gram, moments, alpha = basis.T @ basis, basis.T @ target, sparsity / (2 * len(target))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", ConvergenceWarning)
+        try:
+            options = {"precompute": gram, "Xy": moments, "check_input": False, "tol": 1e-10, "max_iter": 1000}
+            return lasso_path(np.asfortranarray(basis), target, alphas=[alpha], **options)[1][:, 0]
+        except ConvergenceWarning:
+            return lars_path_gram(moments, gram, n_samples=len(target), method="lasso", alpha_min=alpha)[2][:, -1]
 
 
 def reconstruction_loss(target: np.ndarray, basis: np.ndarray, code: np.ndarray, weight) -> float:
@@ -56,28 +66,28 @@ class Dictionary:
 
     def add(self, code: np.ndarray, target: np.ndarray, weight, sign: int = 1) -> None:
         """Add one task's part to A and b (equations 2.13, 2.14); ``sign`` = -1 takes it out again (algorithm 1)."""
-        used = np.flatnonzero(code)
-        code = code[used]
         if self.weights == "scalar":
-            self.A[np.ix_(used, used)] += sign * float(weight) * np.outer(code, code)
-            self.b[used] += sign * float(weight) * np.outer(code, target)
+            self.A += sign * float(weight) * np.outer(code, code)
+            self.b += sign * float(weight) * np.outer(code, target)
             return
-        d = len(target)
-        blocks = self.A.reshape(len(self.b), d, len(self.b), d)
-        for i, s_i in zip(used, code, strict=True):
-            for j, s_j in zip(used, code, strict=True):
-                blocks[i, :, j] += (sign * s_i * s_j) * weight
-        self.b[used] += sign * np.outer(code, weight @ target)
+        k, d = self.b.shape
+        blocks, row = self.A.reshape(k, d, k, d), weight[:, None] * code[:, None]  # row (d, k, d): s^T times Gamma
+        for i in np.flatnonzero(code):
+            blocks[i] += sign * code[i] * row
+        self.b += sign * np.outer(code, weight @ target)
 
     def solve(self, n_tasks: int) -> np.ndarray:
         """Set and return the basis L = mat((A / T + ridge I)^-1 b / T) (equation 2.15) for T = ``n_tasks``.
 
         One Cholesky solve; an explicit inverse, or its recursive eigenvalue form, gives the same L.
         """
-        system = self.A + n_tasks * self.ridge * np.eye(len(self.A))
+        system = self.A.copy()
+        system.flat[:: len(system) + 1] += n_tasks * self.ridge
         right = self.b if self.weights == "scalar" else self.b.ravel()
         try:
-            solution = cho_solve(cho_factor(system, overwrite_a=True, check_finite=False), right, check_finite=False)
+            # The transpose of a symmetric matrix is that matrix in the order of memory that LAPACK wants: no copies.
+            factor = cho_factor(system.T, lower=True, overwrite_a=True, check_finite=False)
+            solution = cho_solve(factor, right, check_finite=False)
         except LinAlgError:
             raise ValueError(
                 f"the dictionary's equations lost their precision; raise ridge (now {self.ridge:g})"

@@ -55,7 +55,11 @@ class ELLA:
         settings = {name: getattr(self, name) for name in signature(type(self)).parameters}
         generator = self.dictionaries_[0].rng.bit_generator.state
         arrays = {
-            "about": json.dumps([type(self).__name__, settings, names, generator]),
+            # A generator given as random_state has done its part and is stored as null; its state is kept beside it.
+            "about": json.dumps(
+                [type(self).__name__, settings, names, generator],
+                default=lambda value: value.item() if isinstance(value, np.generic) else None,
+            ),
             "codes": [*self.codes_.values()],
         }
         for view, dictionary in enumerate(self.dictionaries_):
@@ -114,9 +118,10 @@ class ELLA:
                 Dictionary(len(a), self.n_components, self.ridge, "full" if np.ndim(W) else "scalar", rng)
                 for a, W in zip(targets, weights, strict=True)
             ]
-        for view, (dictionary, target) in enumerate(zip(self.dictionaries_, targets, strict=True)):
+        for dictionary, target in zip(self.dictionaries_, targets, strict=True):  # before anything is changed
             if len(target) != len(dictionary.basis):
                 raise ValueError(f"task {task!r} has {len(target)} numbers, earlier ones had {len(dictionary.basis)}")
+        for view, dictionary in enumerate(self.dictionaries_):
             dictionary.revive()
             if task in self.codes_:
                 dictionary.add(self.codes_[task], *self._parts[task][view], sign=-1)
@@ -159,7 +164,12 @@ class TaDeLL(ELLA):
 
     def predict(self, descriptor: np.ndarray) -> np.ndarray:
         """Return the zero-shot policy L s (d,) for a new task's descriptor (algorithm 3, equation 4.5)."""
-        return self.basis_ @ sparse_code(np.asarray(descriptor, float), self.descriptor_basis_, 1.0, self.sparsity)
+        descriptor = np.asarray(descriptor, float)
+        if len(getattr(self, "dictionaries_", ())) < 2:
+            raise ValueError("no task with a descriptor has been learned yet; partial_fit one first")
+        if descriptor.shape != self.descriptor_basis_.shape[:1] or not np.isfinite(descriptor).all():
+            raise ValueError(f"a descriptor here is {len(self.descriptor_basis_)} finite numbers, got {descriptor}")
+        return self.basis_ @ sparse_code(descriptor, self.descriptor_basis_, 1.0, self.sparsity)
 
 
 def joint_code(targets: list, bases: list, weights: list, sparsity: float) -> np.ndarray:

@@ -63,6 +63,7 @@ class MultiTask(TaDeLL):
             dictionary.solve(T)
             self.dictionaries_.append(dictionary)
         self.codes_ = dict(enumerate(codes))
+        self._parts = {t: [(targets[t], weights[t]) for targets, weights in views] for t in range(T)}
         total = sum(
             objective(targets, codes, weights, dictionary.basis, 0.0, self.ridge)
             for (targets, weights), dictionary in zip(views, self.dictionaries_, strict=True)
