@@ -76,9 +76,9 @@ def test_the_pole_leans_as_its_equations_say():
     """Pushed to the right with no friction, the common centre of mass takes F / (both masses), wherever it leans."""
     tasks = tasks_of("cart-pole")
     cart, pole = tasks.parameters[0, :2]
-    frictionless = SYSTEMS["cart-pole"].dynamics(tasks.parameters * [1, 1, 1, 0])
-    acceleration = frictionless(np.zeros((2, 1, 4)), np.ones((2, 1, 1)))
     tiny = 1e-6
+    frictionless = SYSTEMS["cart-pole"].dynamics(tasks.parameters * [1, 1, 1, 0], seconds=tiny)
+    acceleration = frictionless(np.zeros((2, 1, 4)), np.ones((2, 1, 1))) / tiny
     moved = body(tasks, 0, np.array([[0, 0, 0, 0], tiny * acceleration[0, 0, [1, 1, 3, 3]]]))[0]["pole"]
     cart_change, middle_change = moved[1, 0, 0], moved[1].mean(axis=0)[0]
     assert (cart * cart_change + pole * middle_change) / tiny == pytest.approx(1, rel=1e-4)

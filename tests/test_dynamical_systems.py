@@ -1,9 +1,12 @@
 """The simulated systems against closed forms, independent derivations and arithmetic by hand."""
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 
 from lifelong_lib.environments import dynamical_systems
 from lifelong_lib.environments.dynamical_systems import (
@@ -41,24 +44,38 @@ def free(system):
 
 # ---------------------------------------------------------------------------------------------- equations of motion
 
-def test_energy_of_an_undamped_spring_grows_as_eulers_rule_says():
-    """Each explicit Euler step of x'' = -w^2 x multiplies the energy by exactly 1 + (w dt)^2."""
-    mass, stiffness, dt = 0.7, 3.0, 0.02
-    system = replace(free(SPRING), step_seconds=dt)
+@pytest.mark.parametrize("seconds", [0.02, 0.15, 3.0])
+def test_an_undamped_spring_keeps_its_energy_and_follows_the_cosine(seconds):
+    """Steps are exact however long they are; Euler's rule multiplies the energy by 1 + (w dt)^2 in each."""
+    mass, stiffness = 0.7, 3.0
+    system = replace(free(SPRING), step_seconds=seconds)
     states = roll_out(Tasks(system, np.array([[mass, 1e-300, stiffness]]), np.array([[1.0, -0.5]]))).states[0]
     energy = mass * states[..., 1] ** 2 / 2 + stiffness * states[..., 0] ** 2 / 2
-    growth = (1 + dt**2 * stiffness / mass) ** np.arange(51)
-    assert np.allclose(energy, energy[:, :1] * growth, rtol=1e-12)
-    assert growth[-1] > 1.05, "the growth is large enough to see"
+    assert np.allclose(energy, energy[:, :1], rtol=1e-12, atol=0)
+    w, (x, v) = np.sqrt(stiffness / mass), states[:, 0].T[:, :, None]
+    cos, sin = np.cos(w * seconds * np.arange(51)), np.sin(w * seconds * np.arange(51))
+    expected = np.stack([x * cos + v / w * sin, v * cos - w * x * sin], axis=-1)
+    assert np.allclose(states, expected, rtol=0, atol=1e-12)
+
+
+def test_a_spring_without_control_never_gains_energy():
+    """Drawn tasks and the corners of their ranges, at the system's own step. By Euler's rule most diverged."""
+    drawn, corners = draw_tasks(SPRING, 500, np.random.default_rng(7)), np.array(list(product(*SPRING.ranges.T)))
+    tasks = Tasks(SPRING, np.concatenate([drawn.parameters, corners]), np.concatenate([drawn.starts, np.ones((8, 2))]))
+    states = roll_out(tasks, n=2, steps=400).states
+    mass, _, stiffness = tasks.parameters.T[:, :, None, None]
+    energy = mass * states[..., 1] ** 2 / 2 + stiffness * states[..., 0] ** 2 / 2
+    assert (energy[..., 1:] <= energy[..., :-1] * (1 + 1e-12)).all()
+    assert (energy[..., -1] < energy[..., 0]).all()
 
 
 def test_damping_takes_the_energy_that_the_damper_takes():
-    """In small steps the energy lost equals the integral of damping times velocity squared."""
-    system = replace(free(SPRING), step_seconds=1e-4)
-    states = roll_out(Tasks(system, np.array([[0.5, 0.3, 2.0]]), np.array([[1.0, 1.0]])), steps=5000).states[0]
+    """The energy lost equals the integral of damping times velocity squared (the trapezoidal rule over small steps)."""
+    system = replace(free(SPRING), step_seconds=1e-3)
+    states = roll_out(Tasks(system, np.array([[0.5, 0.3, 2.0]]), np.array([[1.0, 1.0]])), steps=500).states[0]
     energy = 0.5 * states[..., 1] ** 2 / 2 + 2.0 * states[..., 0] ** 2 / 2
-    taken = 0.3 * (states[:, :-1, 1] ** 2).sum(axis=1) * 1e-4
-    assert np.allclose(energy[:, 0] - energy[:, -1], taken, rtol=5e-3)
+    taken = 0.3 * np.trapezoid(states[..., 1] ** 2, dx=1e-3, axis=1)
+    assert np.allclose(energy[:, 0] - energy[:, -1], taken, rtol=1e-5)
 
 
 def spring_matrices(mass, damping, stiffness):
@@ -79,36 +96,70 @@ def cart_pole_matrices(cart, pole, length, friction):
     return rows[:, :4], rows[:, 4:]
 
 
-@pytest.mark.parametrize(("system", "matrices"), [(SPRING, spring_matrices), (CART_POLE, cart_pole_matrices)],
-                         ids=["spring-mass-damper", "cart-pole"])
+linear_system = pytest.mark.parametrize(("system", "matrices"), [(SPRING, spring_matrices),
+                                                                 (CART_POLE, cart_pole_matrices)],
+                                        ids=["spring-mass-damper", "cart-pole"])
+
+
+def held_step(A, B, seconds):
+    """(F, G) of x -> F x + G u for an action held for ``seconds``: upper blocks of exp([[A, B], [0, 0]] seconds)."""
+    block = np.vstack([np.hstack([A, B]), np.zeros((B.shape[1], len(A) + B.shape[1]))])
+    upper = expm(block * seconds)[: len(A)]
+    return upper[:, : len(A)], upper[:, len(A) :]
+
+
+@linear_system
 @pytest.mark.parametrize("gain", [0.0, -0.4])
 def test_linear_roll_outs_equal_matrix_powers(system, matrices, gain):
     tasks = some_tasks(free(system))
     policies = np.full((4, system.policy_size), gain)
     states = roll_out(tasks, policies).states
     for parameters, policy, own in zip(tasks.parameters, policies, states, strict=True):
-        A, B = matrices(*parameters)
-        step = np.eye(len(A)) + system.step_seconds * (A + B @ policy[None])
-        powers = np.stack([np.linalg.matrix_power(step, h) for h in range(51)])
+        F, G = held_step(*matrices(*parameters), system.step_seconds)
+        powers = np.stack([np.linalg.matrix_power(F + G @ policy[None], h) for h in range(51)])
         expected = np.einsum("hij,nj->nhi", powers, own[:, 0])
         assert np.allclose(own, expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())
+
+
+@linear_system
+def test_steps_and_their_halves_solve_the_equations_with_the_action_held(system, matrices):
+    tasks, rng = some_tasks(system), np.random.default_rng(8)
+    starts, actions = rng.normal(size=(4, 3, len(system.state))), rng.normal(size=(4, 3, 1))
+    expected = np.empty_like(starts)
+    for t, i in np.ndindex(4, 3):
+        A, B = matrices(*tasks.parameters[t])
+
+        def derivative(_, state, A=A, Bu=B @ actions[t, i]):
+            return A @ state + Bu
+        solved = solve_ivp(derivative, (0, system.step_seconds), starts[t, i], "DOP853", rtol=1e-12, atol=1e-12)
+        expected[t, i] = solved.y[:, -1]
+    assert np.abs(expected - starts).max() > 0.05, "a step is long enough to see"
+    for parts in (1, 2, 4):
+        advance, states = system.dynamics(tasks.parameters, system.step_seconds / parts), starts
+        for _ in range(parts):
+            states = advance(states, actions)
+        assert np.allclose(states, expected, rtol=1e-10, atol=1e-10), f"{parts} parts"
 
 
 def test_bicycle_by_hand(monkeypatch):
     """With g = V = 10 and sin, cos of the head angle 0.6, 0.8: q = 100 * 0.6 - 2 * 10 * 0.8 = 44, J = D = 2.5."""
     monkeypatch.setattr(dynamical_systems, "GRAVITY", 10.0)
     monkeypatch.setattr(dynamical_systems, "BICYCLE_SPEED", 10.0)
-    derivative = BICYCLE.dynamics(np.array([[10, 0.5, 0.5, 2, 0.1, np.arctan2(0.6, 0.8)]]))
-    one = np.eye(2)[None]
-    assert np.allclose(derivative(one, np.zeros((1, 2, 2))), [[[0, -7], [1, -25 / 11]]])
-    assert np.allclose(derivative(np.zeros((1, 2, 2)), one), [[[0, 18], [0, 10 / 11]]])
+    parameters = np.array([[10, 0.5, 0.5, 2, 0.1, np.arctan2(0.6, 0.8)]])
+    A, B = np.array([[0, 1], [-7, -25 / 11]]), np.array([[0, 0], [18, 10 / 11]])
+    one, none, tiny = np.eye(2)[None], np.zeros((1, 2, 2)), 1e-6
+    advance = BICYCLE.dynamics(parameters, tiny)
+    assert np.allclose((advance(one, none) - one) / tiny, A.T, atol=1e-4)
+    assert np.allclose(advance(none, one) / tiny, B.T, atol=1e-4)
+    advance, (F, G) = BICYCLE.dynamics(parameters, 0.3), held_step(A, B, 0.3)
+    assert np.allclose(advance(one, none), F.T, atol=1e-12) and np.allclose(advance(none, one), G.T, atol=1e-12)
 
 
 def test_every_bicycle_of_a_batch_has_its_own_equations():
     tasks = some_tasks(BICYCLE)
     states, actions = np.ones((4, 1, 2)), np.ones((4, 1, 2))
-    together = BICYCLE.dynamics(tasks.parameters)(states, actions)
-    alone = [BICYCLE.dynamics(tasks.parameters[t : t + 1])(states[:1], actions[:1])[0] for t in range(4)]
+    together = BICYCLE.dynamics(tasks.parameters, 0.02)(states, actions)
+    alone = [BICYCLE.dynamics(tasks.parameters[t : t + 1], 0.02)(states[:1], actions[:1])[0] for t in range(4)]
     assert np.array_equal(together, alone) and len(np.unique(together[:, 0, 1])) == 4
 
 
@@ -126,11 +177,14 @@ def test_quadrotor_conserves_angular_momentum_up_to_the_step():
     assert np.allclose(np.divide(drift[:-1], drift[1:]), 2, rtol=0.1)
 
 
-def test_quadrotor_torques_by_hand():
-    derivative = QUADROTOR.dynamics(np.array([[2.0, 4.0, 5.0, 0.5]]))
-    change = derivative(np.array([[[0.1, 0.2, 0.3, 1.0, 2.0, 3.0]]]), np.array([[[8.0, 16.0, 20.0]]]))[0, 0]
+@pytest.mark.parametrize("seconds", [1e-6, 0.5])
+def test_quadrotor_torques_by_hand(seconds):
+    """Euler's rule: the change over any step is the step times the derivative."""
+    states, actions = np.array([[[0.1, 0.2, 0.3, 1.0, 2.0, 3.0]]]), np.array([[[8.0, 16.0, 20.0]]])
+    advance = QUADROTOR.dynamics(np.array([[2.0, 4.0, 5.0, 0.5]]), seconds)
+    change = (advance(states, actions) - states)[0, 0] / seconds
     # p' = q r (4 - 5) / 2 + 0.5 * 8 / 2, q' = p r (5 - 2) / 4 + 0.5 * 16 / 4, r' = p q (2 - 4) / 5 + 20 / 5
-    assert np.allclose(change, [1, 2, 3, -3 + 2, 9 / 4 + 2, -4 / 5 + 4])
+    assert np.allclose(change, [1, 2, 3, -3 + 2, 9 / 4 + 2, -4 / 5 + 4], rtol=1e-8)
 
 
 # -------------------------------------------------------------------------------------------------------- roll-outs

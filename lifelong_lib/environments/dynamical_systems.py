@@ -44,9 +44,9 @@ class System:
     """A family of tasks that share state, actions and equations of motion.
 
     ``dynamics(parameters (T, p), seconds)`` returns a function of states (T, n, d_x) and actions (T, n, d_a) that gives
-    the states ``seconds`` later; ``constrain`` keeps states in range in place; ``draw_start(rng, size)`` draws the start
-    state of each of ``size`` tasks; ``action_cost`` is the weight of the action's norm in the reward (0 in the thesis, 1
-    in the lab's code).
+    the states ``seconds`` later; ``constrain`` keeps states in range in place; ``draw_start(rng, size)`` draws the
+    start state of each of ``size`` tasks; ``action_cost`` is the weight of the action's norm in the reward (0 in the
+    thesis, 1 in the lab's code).
     """
 
     name: str
@@ -142,7 +142,7 @@ def draw_tasks(system: System, count: int, rng: np.random.Generator) -> Tasks:
 
 
 def _linear(matrices: Callable) -> Callable:
-    """Turn ``matrices(parameters) -> (A, B)`` into exact steps of x' = A x + B u with the action held (no Euler error)."""
+    """Turn ``matrices(parameters) -> (A, B)`` into exact steps of x' = A x + B u, the action held (no Euler error)."""
 
     def steps(parameters, seconds):
         A, B = matrices(*parameters.T)
