@@ -151,3 +151,11 @@ def test_table_is_saved_exactly_and_shown_readably(chapter):
     assert text.splitlines() == ["| system | reward | n | note |", "| --- | --- | --- | --- |",
                                  "| SM\\|x | -2.367 | 10 |  |", "| <b> | – |  |  |"]
     assert "<td>&lt;b&gt;</td>" in table._repr_html_() and table._repr_html_().count("<tr>") == 3
+
+
+def test_the_backend_of_a_notebook_is_loaded_before_the_style_is_set():
+    # Loaded by the first figure, inside rc_context, it was switched off again: a notebook showed one figure only.
+    code = "import sys, lifelong_lib.reproduction.figures; print('matplotlib_inline.backend_inline' in sys.modules)"
+    environment = os.environ | {"MPLBACKEND": "module://matplotlib_inline.backend_inline"}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "True"

@@ -14,6 +14,8 @@ from lifelong_lib.reproduction.runs import write_atomically
 from lifelong_lib.reproduction.statistics import standard_error
 from lifelong_lib.reproduction.tables import check_identity, csv_text
 
+plt.switch_backend(plt.get_backend())  # loaded now: loaded inside rc_context, a notebook shows one figure only
+
 
 class Look(NamedTuple):
     """How a method is drawn; marker, dashes and hatch keep methods apart in grey print."""
