@@ -27,7 +27,7 @@ chapter = SimpleNamespace(number=4, folder=Path(sys.argv[1]))
 values = np.random.default_rng(0).normal(size=(6, 30))
 fig, axes = f.panels(2)
 axes[0].set(title="Spring-mass-damper", xlabel="iteration", ylabel="reward per step")
-rows = f.draw_curves(axes[0], range(1, 31), values, "TaDeLL") + f.draw_published(axes[0], [1, 30], [0.1, 0.2], "TaDeLL")
+rows = f.draw_curves(axes[0], range(1, 31), values, "TaDeLL")
 rows += f.draw_bars(axes[1], ["SM", "CP"], {"PG": values[:, :2], "TaDeLL": values[:, 2:4]})
 f.shade_sides(axes[0], 8, "few", "many")
 f.legend(fig)
@@ -68,39 +68,39 @@ def test_curve_shows_and_returns_mean_and_standard_error(chapter):
     assert {(row["series"], row["n"]) for row in rows} == {("ours", 2)}
 
 
-def test_bars_stand_side_by_side_and_carry_the_published_numbers(chapter):
+def test_bars_stand_side_by_side(chapter):
     fig, (ax,) = figures.panels()
-    rows = figures.draw_bars(ax, ["SM", "CP"], {"TaDeLL": np.ones((3, 2)), "PG": np.full((1, 2), 2.0)},
-                             published={"TaDeLL": [1.5, np.nan]}, label_of={"PG": "PG, trained"})
+    rows = figures.draw_bars(ax, ["SM", "CP"], {"TaDeLL": np.ones((3, 2)), "PG": np.full((1, 2), 2.0)})
     assert [bar.get_height() for bar in ax.patches] == [1.0, 1.0, 2.0, 2.0]
     edges = sorted((bar.get_x(), bar.get_x() + bar.get_width()) for bar in ax.patches)
     assert all(left[1] < right[0] for left, right in zip(edges, edges[1:], strict=False))
-    assert {row["series"] for row in rows} == {"TaDeLL", "published TaDeLL", "PG, trained"}
-    assert [row["mean"] for row in rows if row["x"] == "SM"] == [1.0, 1.5, 2.0]
+    assert {row["series"] for row in rows} == {"TaDeLL", "PG"}
+    assert [row["mean"] for row in rows if row["x"] == "SM"] == [1.0, 2.0]
     assert [row["standard error"] for row in rows if row["n"] == 1] == [None, None]
 
 
-def test_legend_names_each_series_once_with_published_last(chapter):
+def test_legend_names_each_series_once(chapter):
     fig, axes = figures.panels(2)
     for ax in axes:
-        figures.draw_published(ax, [1], [1.0], "PG")
-        figures.draw_curves(ax, [1], [[1.0]], "PG")
+        figures.draw_curves(ax, [1], [[1.0]], "TaDeLL")
+        figures.draw_curves(ax, [1], [[1.0]], "PG", label="alone")
     figures.legend(fig)
-    assert [text.get_text() for text in fig.legends[0].get_texts()] == ["PG", "published"]
+    assert [text.get_text() for text in fig.legends[0].get_texts()] == ["TaDeLL", "alone"]
 
 
 def test_factors_show_every_cell_and_keep_exact_zeros(chapter):
     fig, (ax,) = figures.panels()
     left, code = np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([[0.5], [0.0]])
-    rows = figures.draw_factors(ax, [[("θ", left @ code), ("L", left), ("s", code)]], {"θ": ["a", "b"]})
+    rows = figures.draw_factors(ax, [[("θ", left @ code), ("L", left), ("s", code)]])
     assert [row["value"] for row in rows if row["panel"] == "L"] == [1.0, 2.0, 3.0, 4.0]
-    assert {"0", "0.50", "a", "b", "=", "×"} <= {text.get_text() for text in ax.texts}
+    assert {"0", "0.50", "=", "×"} <= {text.get_text() for text in ax.texts}
 
 
-def test_heat_map_puts_the_number_of_a_cell_into_the_cell(chapter):
+def test_the_number_of_a_cell_stands_in_the_cell(chapter):
     fig, (ax,) = figures.panels()
-    figures.heat_map(ax, [[1.0, -2.0]], "map", ["r"], ["u", "v"])
-    assert {text.get_text(): text.get_position() for text in ax.texts} == {"1.00": (0.5, 0.5), "−2.00": (1.5, 0.5)}
+    figures.draw_factors(ax, [[("map", np.array([[1.0, -2.0]]))]])
+    places = {text.get_text(): text.get_position() for text in ax.texts}
+    assert places["1.00"] == (0.5, 0.5) and places["−2.00"] == (1.5, 0.5)
 
 
 def test_methods_differ_by_more_than_colour():

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import matplotlib.pyplot as plt
 import numpy as np
 
+from lifelong_lib.reproduction.fingerprint import require
 from lifelong_lib.reproduction.runs import write_atomically
 from lifelong_lib.reproduction.statistics import standard_error
 from lifelong_lib.reproduction.tables import check_identity, csv_text
@@ -39,7 +40,6 @@ LOOKS = {
     "warm start": Look("#D55E00", "P", "-", "++"),
     "copied": Look("#999999", "X", (0, (3, 3)), "---"),
     "random": Look("#666666", "1", (0, (1, 3)), "ooo"),
-    "published": Look("#000000", "*", ""),
 }
 STYLE = {
     "font.family": "DejaVu Sans", "font.size": 8, "axes.titlesize": 9, "axes.titleweight": "bold",
@@ -64,7 +64,6 @@ def panels(n=1, columns=None, height=2.3):
 def legend(fig):
     """Put one legend for all panels above them, where it hides no data; call it when everything is drawn."""
     entries = {text: mark for ax in fig.axes for mark, text in zip(*ax.get_legend_handles_labels(), strict=True)}
-    entries = dict(sorted(entries.items(), key=lambda entry: entry[0] == "published"))  # ours first, published last
     length = sum(11 + len(text) for text in entries)  # [letters of 4.4 points] texts and the samples before them
     rows = np.ceil(4.4 * length / (72 * fig.get_figwidth()))
     with plt.rc_context(STYLE):
@@ -90,40 +89,24 @@ def draw_curves(ax, x, values, method, label=None):
     return _rows(ax, label or method, x, mean, error, len(values))
 
 
-def draw_bars(ax, labels, values, published=None, label_of=None):
+def draw_bars(ax, labels, values):
     """Draw the mean of each method's values as bars with one standard error; return the rows.
 
-    `labels`: (n_labels,) groups on the axis; `values`: {method: (n_seeds, n_labels)}; `published`: numbers to mark on
-    the bars, {method: (n_labels,)}, nan where there is none; `label_of`: {method: text for the legend}.
+    `labels`: (n_labels,) groups on the axis; `values`: {method: (n_seeds, n_labels)}.
     """
     width, rows, places = 0.8 / len(values), [], np.arange(len(labels))
     for i, (method, samples) in enumerate(values.items()):
-        samples, look, text = np.asarray(samples, dtype=float), look_of(method), (label_of or {}).get(method, method)
+        samples, look = np.asarray(samples, dtype=float), look_of(method)
         mean, error, x = samples.mean(axis=0), standard_error(samples), places + (i - (len(values) - 1) / 2) * width
         with plt.rc_context(STYLE):
-            ax.bar(x, mean, 0.92 * width, color=look.colour, hatch=look.hatch, hatchcolor="white", label=text)
+            ax.bar(x, mean, 0.92 * width, color=look.colour, hatch=look.hatch, hatchcolor="white", label=method)
             for colour, size in (("white", 2.4), ("#444444", 1)):  # the white edge shows the mark on a dark bar
                 ax.errorbar(x, mean, error, fmt="none", ecolor=colour, elinewidth=size, capsize=2, capthick=size)
-        rows += _rows(ax, text, labels, mean, error, len(samples))
-        if published and method in published:
-            rows += draw_published(ax, x + 0.3 * width, published[method], method, x_names=labels)
+        rows += _rows(ax, method, labels, mean, error, len(samples))
     ax.set_xticks(places, labels)
     ax.tick_params(axis="x", length=0)
     ax.grid(visible=False, axis="x")
     return rows
-
-
-def draw_published(ax, x, y, method="published", x_names=None):
-    """Mark published numbers `y` (n,) at `x` (n,) by stars in the colour of `method`; return the rows.
-
-    `x_names`: what the rows call the places (default: `x`). One legend entry serves all stars of a panel.
-    """
-    stars = {"linestyle": "", "marker": "*", "markersize": 9, "markerfacecolor": "white", "markeredgewidth": 1.1}
-    if "published" not in ax.get_legend_handles_labels()[1]:
-        ax.plot([], [], **stars, markeredgecolor="black", label="published")
-    ax.plot(x, y, **stars, markeredgecolor=look_of(method).colour, zorder=5, clip_on=False)
-    series = "published" if method == "published" else f"published {method}"
-    return _rows(ax, series, x if x_names is None else x_names, y, np.full(len(y), np.nan), None)
 
 
 def shade_sides(ax, boundary, below, above):
@@ -135,43 +118,26 @@ def shade_sides(ax, boundary, below, above):
     ax.set_xlim(left, right)
 
 
-def heat_map(ax, matrix, title="", row_labels=(), column_labels=()):
-    """Draw `matrix` (rows, columns) from blue (negative) to red (positive), few cells with numbers; return the rows."""
-    matrix = np.atleast_2d(np.asarray(matrix, dtype=float))
-    with plt.rc_context(STYLE):
-        image = _cells(ax, matrix, (0, 0))
-        if matrix.size > 100:
-            ax.figure.colorbar(image, ax=ax, shrink=0.8)
-        ax.set(title=title, xlim=(0, matrix.shape[1]), ylim=(matrix.shape[0], 0), aspect="equal",
-               xticks=np.arange(len(column_labels)) + 0.5, xticklabels=column_labels,
-               yticks=np.arange(len(row_labels)) + 0.5, yticklabels=row_labels)
-    ax.tick_params(length=0)
-    ax.grid(visible=False)
-    ax.spines[:].set_visible(False)
-    return _cell_rows(title, matrix)
-
-
-def draw_factors(ax, equations, row_labels=None):
+def draw_factors(ax, equations):
     """Draw matrix equations such as theta = L s, all cells of one size; return the rows.
 
-    `equations`: list of lists of (name, matrix), the first matrix being the product of the others; `row_labels`:
-    {name of a first matrix: texts beside its rows}. Each matrix has its own colour scale; numbers stand in the cells.
+    `equations`: list of lists of (name, matrix), the first matrix being the product of the others. Each matrix has its
+    own colours, from blue (negative) to red (positive), and small ones have numbers in their cells.
     """
-    rows, top, right, row_labels = [], 0.0, 0.0, row_labels or {}
-    margin = 0.16 * max((len(text) for texts in row_labels.values() for text in texts), default=0)  # [cells]
+    rows, top, right = [], 0.0, 0.0
     with plt.rc_context(STYLE):
         for equation in equations:
-            left, tallest = margin, max(len(matrix) for _, matrix in equation)
+            left, tallest = 0.0, max(len(matrix) for _, matrix in equation)
             for i, (name, matrix) in enumerate(equation):
-                start = top + (tallest - len(matrix)) / 2
-                _cells(ax, np.asarray(matrix, dtype=float), (left, start))
-                ax.text(left + matrix.shape[1] / 2, start - 0.15, name, ha="center", va="bottom", weight="bold")
-                for j, text in enumerate(row_labels.get(name, ()) if i == 0 else ()):
-                    ax.text(left - 0.1, start + j + 0.5, text, ha="right", va="center", fontsize=7)
-                left += matrix.shape[1] + 1
-                if i < len(equation) - 1:
-                    ax.text(left - 0.5, top + tallest / 2, "×" if i else "=", ha="center", va="center", fontsize=12)
-                rows += _cell_rows(name, matrix)
+                height, width = matrix.shape
+                start = top + (tallest - height) / 2
+                if i:
+                    ax.text(left - 0.5, top + tallest / 2, "×" if i > 1 else "=", ha="center", va="center", fontsize=12)
+                _draw_cells(ax, matrix, left, start)
+                ax.text(left + width / 2, start - 0.15, name, ha="center", va="bottom", weight="bold")
+                left += width + 1
+                rows += [{"panel": name, "row": row, "column": column, "value": float(value)}
+                         for (row, column), value in np.ndenumerate(matrix)]
             top, right = top + tallest + 1, max(right, left - 1)
         ax.set(xlim=(0, right), ylim=(top - 1, -0.7), aspect="equal")
         ax.axis("off")
@@ -198,9 +164,8 @@ def save_figure(chapter, identity, fig, rows):
 
 
 def look_of(method):
-    """Return the Look of `method`; raises ValueError with the known names for a method that has none."""
-    if method not in LOOKS:
-        raise ValueError(f"method '{method}' has no look: add it to LOOKS in figures.py or use {', '.join(LOOKS)}")
+    """Return the Look of `method`; raises ReproductionError with the known names for a method that has none."""
+    require(method in LOOKS, f"method '{method}' has no look: add it to LOOKS in figures.py or use {', '.join(LOOKS)}")
     return LOOKS[method]
 
 
@@ -210,16 +175,11 @@ def _rows(ax, series, x, mean, error, n):
             for place, m, e in zip(x, mean, error, strict=True)]
 
 
-def _cells(ax, matrix, corner):
-    (x, y), (height, width), limit = corner, matrix.shape, np.abs(matrix).max() or 1.0
-    image = ax.imshow(matrix, cmap="RdBu_r", vmin=-limit, vmax=limit, interpolation="nearest",
-                      extent=(x, x + width, y + height, y))
+def _draw_cells(ax, matrix, x, y):
+    (height, width), limit = matrix.shape, np.abs(matrix).max() or 1.0
+    ax.imshow(matrix, cmap="RdBu_r", vmin=-limit, vmax=limit, interpolation="nearest",
+              extent=(x, x + width, y + height, y))
     for (i, j), value in np.ndenumerate(matrix) if matrix.size <= 100 else ():
         text = f"{value:.{2 if abs(value) < 10 else 0}f}".replace("-", "−") if value else "0"
         ax.text(x + j + 0.5, y + i + 0.5, text, color="white" if abs(value) > 0.6 * limit else "black",
                 ha="center", va="center", fontsize=6)
-    return image
-
-
-def _cell_rows(name, matrix):
-    return [{"panel": name, "row": i, "column": j, "value": float(v)} for (i, j), v in np.ndenumerate(matrix)]
