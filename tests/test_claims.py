@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from lifelong_lib.reproduction import claims
+from lifelong_lib.reproduction.report import read_json
 from lifelong_lib.reproduction.runs import PROFILES, ReproductionError
 
 ENTRY = """
@@ -118,6 +119,7 @@ def test_parts_and_controls_that_do_not_fit_the_ledger_are_refused(chapter, writ
     ("source", "sauce", "lacks source"), ('"sign"', '"sing"', "needs a kind"), ('"quick"', '"fast"', "a profile of"),
     ("at_least = 0", "at_leest = 0", "'gap' needs bounds"), ("at_least = 0", "thesis = 0", "'gap' needs bounds"),
     ("tolerance = 0.1", "tolerance = -0.1", "'level' needs bounds"), ("= 4\n", "= \n", "no valid TOML"),
+    ("thesis = 0.9\n", "", "'level' needs bounds"),
 ])
 def test_a_mistake_in_the_ledger_is_named(write, old, new, message):
     write(ENTRY.format(control=NONE).replace(old, new, 1))
@@ -129,13 +131,13 @@ def test_rows_are_replaced_and_sorted_and_valid_json(chapter, monkeypatch):
     entries = {name: {"parts": {"gap": {"at_least": 0, "decides": True}}, "control": NONE, "profile": "quick",
                       **dict.fromkeys(("statement", "source", "kind", "tolerance_origin"), ""), "id": name,
                       "chapter": int(name[1])} for name in ("C4.10", "C4.2", "C2.1")}
-    monkeypatch.setattr(claims, "ledger", lambda path=None: entries)
+    monkeypatch.setattr(claims, "ledger", lambda: entries)
     for name in ("C4.10", "C4.2"):
         claims.check_claim(chapter, name, {"gap": ABOVE[:1]})
     claims.check_claim(SimpleNamespace(**vars(chapter) | {"number": 2}), "C2.1", {"gap": ABOVE})
     first = (chapter.folder / "claims.json").read_bytes()
     claims.check_claim(chapter, "C4.2", {"gap": ABOVE})
-    rows = claims.read_claims(chapter.folder)
+    rows = read_json(chapter.folder / "claims.json", [])
     assert [(row["id"], row["verdict"]) for row in rows] == [
         ("C2.1", "holds"), ("C4.2", "holds"), ("C4.10", "undecided")]
     assert {"statement", "thesis", "measured", "interval", "n", "test", "p", "profile", "parts"} <= rows[0].keys()
@@ -144,10 +146,10 @@ def test_rows_are_replaced_and_sorted_and_valid_json(chapter, monkeypatch):
     json.loads(first, parse_constant=pytest.fail)  # no NaN, no Infinity
     del entries["C4.10"]  # a claim that left the ledger leaves the file
     claims.check_claim(chapter, "C4.2", {"gap": ABOVE})
-    assert [row["id"] for row in claims.read_claims(chapter.folder)] == ["C2.1", "C4.2"]
+    assert [row["id"] for row in read_json(chapter.folder / "claims.json", [])] == ["C2.1", "C4.2"]
     (chapter.folder / "claims.json").write_text("[{")
     with pytest.raises(ReproductionError, match="damaged"):
-        claims.read_claims(chapter.folder)
+        read_json(chapter.folder / "claims.json", [])
 
 
 def test_a_claim_shows_itself_in_one_line(chapter, write):
