@@ -3,22 +3,21 @@
 Everything here is made from files that a run left in `figures/latest/<profile>`. Nothing is measured again.
 """
 
-from __future__ import annotations
-
 import csv
-import hashlib
-import importlib.metadata
 import json
 import math
 import platform
 import re
 import shutil
 import subprocess
+from importlib import metadata
+from itertools import chain
 from pathlib import Path
 
 from matplotlib.image import imread
 
-from .runs import ROOT, ReproductionError, write_atomically
+from lifelong_lib.reproduction.fingerprint import require, sha256
+from lifelong_lib.reproduction.runs import ROOT, ReproductionError, write_atomically
 
 VERDICTS = ("holds", "undecided", "contradicted", "not tested")
 ACCEPTED = ("*.csv", "*.png", "*.svg", "*.md")
@@ -30,7 +29,7 @@ def read_json(path: Path, default: object) -> object:
     if not path.exists():
         return default
     try:
-        return json.loads(path.read_text())
+        return json.loads(path.read_bytes())
     except ValueError as error:
         raise ReproductionError(f"{path} is damaged ({error}); delete it and run again") from error
 
@@ -50,27 +49,25 @@ def write_provenance(folder: Path, profile: str, parameters: dict[int, dict]) ->
     parameters: the full parameter values of the chapters that were just run; other chapters keep their entry.
     """
     grids = [read_json(path, {}) for path in sorted((folder / "runs").glob("*.json"))]
-    lock = (ROOT / "environment.txt").read_bytes()
     chapters = read_json(folder / "provenance.json", {}).get("chapters", {})
     for number, values in parameters.items():
         counts = {grid["name"]: {key: grid[key] for key in ("wanted", "computed", "read", "stale")}
                   for grid in grids if grid["chapter"] == number}
         chapters[f"ch{number:02d}"] = {"parameters": values, "runs": counts}
-    versions = {name: importlib.metadata.version(name) for name in PACKAGES}
+    versions = {name: metadata.version(name) for name in PACKAGES}
     write_json(folder / "provenance.json", {
-        "profile": profile, "commit": _commit(), "lock": hashlib.sha256(lock).hexdigest(), "chapters": chapters,
-        "versions": versions | {"python": platform.python_version()},
+        "profile": profile, "commit": _commit(), "lock": sha256((ROOT / "environment.txt").read_bytes()),
+        "chapters": chapters, "versions": versions | {"python": platform.python_version()},
         "machine": f"{platform.system()} {platform.machine()}",
     })
     costs = {f"ch{grid['chapter']:02d}/{grid['name']}": grid["seconds_per_run"] for grid in grids}
-    write_json(folder / "unit_costs.json", {name: cost for name, cost in costs.items() if cost is not None})
+    write_json(folder / "unit_costs.json", costs)
 
 
 def _commit() -> str:
-    def git(*arguments: str) -> str:
-        return subprocess.run(["git", "-C", str(ROOT), *arguments], capture_output=True, text=True, check=True).stdout
+    describe = ["git", "-C", str(ROOT), "describe", "--always", "--exclude=*", "--abbrev=40", "--dirty= with changes"]
     try:
-        return git("rev-parse", "HEAD").strip() + (" with changes" if git("status", "--porcelain", "-uno") else "")
+        return subprocess.run(describe, capture_output=True, text=True, check=True).stdout.strip()
     except (OSError, subprocess.CalledProcessError):
         return "unknown (no git history here)"
 
@@ -109,9 +106,8 @@ def _compare_data(ours: Path, theirs: Path) -> str:
     if [len(row) for row in first] != [len(row) for row in second] or first[:1] != second[:1]:
         return "other rows or columns"
     worst, equal = 0.0, True
-    for one, other in zip(sum(first, []), sum(second, []), strict=True):
-        if one == other:
-            continue
+    pairs = zip(chain.from_iterable(first), chain.from_iterable(second), strict=True)
+    for one, other in [pair for pair in pairs if pair[0] != pair[1]]:
         try:
             gap, size = abs(float(one) - float(other)), max(1.0, abs(float(other)))
         except ValueError:
@@ -146,8 +142,7 @@ def verdict_counts(claims: list[dict]) -> dict[str, int]:
 def accept(latest: Path, reference: Path) -> int:
     """Makes the results in `latest` the reference; chapters that are not in `latest` keep theirs. Returns how many."""
     made = [path for pattern in ACCEPTED for path in sorted(latest.glob(pattern))]
-    if not made:
-        raise ReproductionError(f"there is nothing in {latest} to accept; run `./reproduce.sh run` first")
+    require(made, f"there is nothing in {latest} to accept; run `./reproduce.sh run` first")
     claims = read_json(latest / "claims.json", [])
     chapters = {chapter_of(path.stem) for path in made} | {chapter_of(row["id"]) for row in claims}
     reference.mkdir(parents=True, exist_ok=True)
