@@ -1,6 +1,6 @@
 """Roll-outs as rerun recordings: several policies on one system, side by side, and a still picture of the same moments.
 
-Recordings are logged in whole columns and without wall-clock times, so that equal roll-outs pass `compare_recordings`,
+Recordings are logged in whole columns and without wall-clock times, so that equal roll-outs pass `rerun rrd compare`,
 although the bytes of their files differ (rerun writes fresh ids into each).
 """
 
@@ -20,9 +20,9 @@ from matplotlib import colors, style
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from rerun.archetypes import RecordingInfo
-from rerun.chunk import RrdReader
 from scipy.spatial.transform import Rotation
 
+from lifelong_lib.reproduction.fingerprint import require
 from lifelong_lib.reproduction.runs import Chapter, ReproductionError
 
 _CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])  # of the box of half size 1
@@ -75,13 +75,12 @@ def save_recording(chapter: Chapter, name: str, scenes: dict[str, Scene], second
     Returns the path of the .rrd. Raises ReproductionError for scenes that cannot be drawn (wrong shapes, values that
     are not finite) and when the files cannot be written; an earlier recording of this name then stays as it was.
     """
-    if not re.fullmatch(r"[\w-]+", name):
-        raise ReproductionError(f"recording name {name!r}: use letters, digits, '-' and '_' only")
-    if not 0 < seconds_per_step < np.inf:
-        raise ReproductionError(f"recording {name!r}: seconds_per_step is {seconds_per_step}; give a positive number")
-    if not 0 < np.hypot(*seen_from[:2]) < np.inf:
-        raise ReproductionError(f"recording {name!r}: seen_from is {seen_from}; give a direction that is not vertical")
-    _check(name, scenes, series_units)
+    require(re.fullmatch(r"[\w-]+", name), f"recording name {name!r}: use letters, digits, '-' and '_' only")
+    where = f"recording {name!r}"
+    require(0 < seconds_per_step < np.inf, f"{where}: seconds_per_step is {seconds_per_step}; give a positive number")
+    require(0 < np.hypot(*seen_from[:2]) < np.inf, f"{where}: seen_from is {seen_from}; give one that is not vertical")
+    require(scenes and series_units, f"{where}: give at least one scene, {{title: Scene(...)}}, and one series")
+    _check(where, scenes, series_units)
     shown = (scenes, seconds_per_step, series_units, caption, np.array(seen_from) / np.linalg.norm(seen_from))
     path = chapter.folder / "recordings" / f"{name}.rrd"
     recording, still = (path.with_name(name + ending) for ending in (".rrd.part", ".png.part"))
@@ -103,66 +102,44 @@ def save_recording(chapter: Chapter, name: str, scenes: dict[str, Scene], second
 def verify_recording(path: Path) -> None:
     """Have rerun read the file to its end; ReproductionError if it is missing, cut short, garbled or no recording.
 
-    A changed number inside a well-formed file passes: only compare_recordings sees that.
+    A changed number inside a well-formed file passes: only comparing with another recording shows that.
     """
-    result = _rerun("verify", path)
-    if result.returncode or "1 file verified" not in result.stderr:  # an empty file passes as "0 files verified"
-        reason = result.stderr.partition("\n")[0][:160]
-        raise ReproductionError(f"recording {path} cannot be read ({reason}); run its chapter again")
-
-
-def compare_recordings(first: Path, second: Path) -> bool:
-    """Whether two recordings hold exactly the same values at the same times; layout and ids may differ.
-
-    Whatever is equal here also passes `rerun rrd compare`, which forgives differences in the seventh digit.
-    """
-    verify_recording(first)
-    verify_recording(second)
-    return _values(first) == _values(second)
-
-
-def _values(path):
-    """{(entity, static or not): its columns without the row ids, which no two recordings share}."""
-    return {(chunk.entity_path, chunk.is_static): chunk.to_record_batch().drop_columns(["rerun.controls.RowId"])
-            for chunk in RrdReader(path).stream()}
-
-
-def _rerun(command, *paths):
     # rerun_cli's own `python -m` always exits with 0, whatever it found. With CI set, no usage statistics are sent.
     main = "import sys; from rerun_cli.__main__ import main; sys.exit(main())"
     quiet = {key: value for key, value in os.environ.items() if key != "FORCE_RERUN_ANALYTICS"} | {"CI": "1"}
-    return subprocess.run([sys.executable, "-c", main, "rrd", command, *map(str, paths)], env=quiet, text=True,
-                          capture_output=True, check=False)
+    command = [sys.executable, "-c", main, "rrd", "verify", str(path)]
+    result = subprocess.run(command, env=quiet, text=True, capture_output=True, check=False)
+    reason = result.stderr.partition("\n")[0][:160]
+    good = result.returncode == 0 and "1 file verified" in result.stderr  # an empty file passes as "0 files verified"
+    require(good, f"recording {path} cannot be read ({reason}); run its chapter again")
 
 
-def _check(name, scenes, series_units):
+def _check(where, scenes, series_units):
     """ReproductionError unless every array of every scene is finite and all fit together."""
-    if not scenes or not series_units:
-        raise ReproductionError(f"recording {name!r}: give at least one scene, {{title: Scene(...)}}, and one series")
     moments = None
     for title, scene in scenes.items():
-        where = f"recording {name!r}, scene {title!r}"
-        if not (scene.parts or scene.boxes) or set(scene.series) != set(series_units):
-            raise ReproductionError(f"{where}: give a part or box to draw, and exactly the series {list(series_units)}")
-        arrays = {f"series {key!r}": (values, "H+1") for key, values in scene.series.items()}
-        arrays |= {f"part {key!r}": (points, "H+1", "n", 3) for key, points in scene.parts.items()}
-        arrays |= {f"fixed {key!r}": (line, "n", 3) for key, line in scene.fixed.items()}
+        here = f"{where}, scene {title!r}"
+        require((scene.parts or scene.boxes) and scene.series.keys() == series_units.keys(),
+                f"{here}: give a part or box to draw, and exactly the series {list(series_units)}")
+        arrays = [(f"series {key!r}", values, "H+1") for key, values in scene.series.items()]
+        arrays += [(f"part {key!r}", points, "H+1", "n", 3) for key, points in scene.parts.items()]
+        arrays += [(f"fixed {key!r}", line, "n", 3) for key, line in scene.fixed.items()]
         for key, (centres, half_sizes, turns) in scene.boxes.items():
-            arrays |= {f"centres of box {key!r}": (centres, "H+1", 3), f"half sizes of box {key!r}": (half_sizes, 3)}
-            arrays |= {} if turns is None else {f"rotations of box {key!r}": (turns, "H+1", 4)}
-        for what, (values, *wanted) in arrays.items():
+            arrays += [(f"centres of box {key!r}", centres, "H+1", 3), (f"half sizes of box {key!r}", half_sizes, 3)]
+            arrays += [] if turns is None else [(f"rotations of box {key!r}", turns, "H+1", 4)]
+        for what, values, *wanted in arrays:
             try:
                 array = np.asarray(values, dtype=float)
             except (TypeError, ValueError):
-                raise ReproductionError(f"{where}, {what}: not an array of numbers") from None
+                raise ReproductionError(f"{here}, {what}: not an array of numbers") from None
             moments = moments or array.size  # the first series says how long all have to be
             wanted = [moments if length == "H+1" else length for length in wanted]
-            pairs = zip(array.shape, wanted, strict=False)
-            if len(wanted) != array.ndim or any(have < 2 or want not in (have, "n") for have, want in pairs):
-                raise ReproductionError(f"{where}, {what}: shape {array.shape}, wanted ({', '.join(map(str, wanted))})")
-            if not np.isfinite(array).all():
-                row = np.argwhere(~np.isfinite(array))[0][0]
-                raise ReproductionError(f"{where}, {what}: not finite at row {row}; end all roll-outs before that")
+            fits = [have > 1 and want in (have, "n") for have, want in zip(array.shape, wanted, strict=False)]
+            require(len(wanted) == array.ndim and all(fits),
+                    f"{here}, {what}: shape {array.shape}, wanted ({', '.join(map(str, wanted))})")
+            bad_rows = np.nonzero(~np.isfinite(array))[0]
+            require(len(bad_rows) == 0,
+                    f"{here}, {what}: not finite at row {min(bad_rows, default='')}; end all roll-outs before that")
 
 
 def _window(points):
