@@ -54,13 +54,11 @@ def paired_permutation(differences, draws=10_000, seed=0):
     n = len(differences)
     if n <= 14:
         signs = np.array(list(itertools.product((1, -1), repeat=n)))
-    else:
-        signs = np.random.default_rng(seed).choice((1, -1), size=(draws, n))
+    else:  # what was observed counts as one draw, so that p is never zero
+        signs = np.concatenate([np.ones((1, n)), np.random.default_rng(seed).choice((1, -1), size=(draws, n))])
     # Sums that are equal on paper may differ in the last bit; they count as equal.
     reached = np.abs(signs @ differences) >= abs(differences.sum()) - 1e-12 * np.abs(differences).sum()
-    if n <= 14:
-        return float(reached.mean())
-    return float((1 + reached.sum()) / (1 + draws))
+    return float(reached.mean())
 
 
 def jump_start(curve, baseline):
