@@ -142,6 +142,13 @@ def test_views_show_all_that_moves_but_do_not_follow_a_runaway():
     assert np.array_equal(recordings._window(points), [[0, 0], [3, 3]])
 
 
+def test_what_starts_as_a_point_or_stays_one_is_shown_too(tmp_path):
+    points = np.arange(3.0)[:, None, None] * np.ones((3, 2, 2))
+    assert np.array_equal(recordings._window(points), [[0, 0], [2, 2]])
+    pin = np.tile([[0.0, 0, 0], [0, 1, 0]], (21, 1, 1))  # seen from its end
+    save(tmp_path, {"pin": replace(two_scenes()["random"], parts={"pin": pin}, boxes={})})
+
+
 def test_still_picture_draws_the_fall_wider_than_the_stand(saved):
     picture = imread(saved.with_suffix(".png"))[:, :, :3]
     upper = picture[40: picture.shape[0] // 2]

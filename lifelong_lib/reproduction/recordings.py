@@ -145,7 +145,7 @@ def _check(where, scenes, series_units):
 def _window(points):
     """Low and high corner (d,) of what the views show of points (H+1, n, d): not what goes far beyond the start."""
     low, high = points[0].min(axis=0), points[0].max(axis=0)
-    reach = _REACH * (high - low).max()
+    reach = _REACH * (high - low).max() or np.inf  # a point has no size
     return np.maximum(points.min(axis=(0, 1)), low - reach), np.minimum(points.max(axis=(0, 1)), high + reach)
 
 
@@ -199,7 +199,7 @@ def _write_still(path, scenes, seconds_per_step, series_units, caption, backward
     right = np.cross([0, 0, 1], backwards) / np.linalg.norm(backwards[:2])
     camera = np.stack([right, np.cross(backwards, right)], axis=1)  # (3, 2), parallel projection
     low, high = _window(np.concatenate([scene.points() @ camera for scene in scenes.values()], axis=1))
-    margin = 0.05 * max(high - low)
+    margin = 0.05 * max(high - low) or 1.0  # [m] around a body that is seen from its end
     (left, bottom), (right, top) = low - margin, high + margin
     heights = [np.clip(10 / len(scenes) * (top - bottom) / (right - left), 1.5, 5) + 0.7, 2.6]  # [inch]
     with style.context("default"):
