@@ -7,12 +7,7 @@ import numpy as np
 
 from lifelong_lib.environments.dynamical_systems import START_SPREAD, SYSTEMS, Tasks, draw_tasks, reward
 
-IDS = {
-    "spring-mass-damper": "lifelong_lib/SpringMassDamper-v0",
-    "cart-pole": "lifelong_lib/CartPole-v0",
-    "bicycle": "lifelong_lib/Bicycle-v0",
-    "quadrotor": "lifelong_lib/Quadrotor-v0",
-}
+IDS = {name: f"lifelong_lib/{name.title().replace('-', '')}-v0" for name in SYSTEMS}
 STEPS = 100  # an episode is truncated after so many
 
 

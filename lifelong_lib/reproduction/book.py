@@ -3,8 +3,6 @@
 Sphinx and myst-nb build them from the executed notebooks and the files in `figures/latest/<profile>`.
 """
 
-from __future__ import annotations
-
 import html
 import json
 import re
@@ -20,10 +18,10 @@ from docutils.utils.math import MathError
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.util import logging
 
-from .fingerprint import SOURCES
+from .fingerprint import SOURCES, require
 from .notebooks import cell_ids, made_ids
 from .report import order, read_json, verdict_counts
-from .runs import ROOT, ReproductionError
+from .runs import ROOT
 from .tables import Table, readable
 
 CONFIGURATION = """
@@ -74,8 +72,7 @@ def build_book(folder: Path, reference: Path) -> Path:
         command = [sys.executable, "-m", "sphinx", "-b", "html", "-q", "-E", "-d", f"{temporary}/doctrees",
                    str(source), str(out)]
         done = subprocess.run(command, cwd=SOURCES, capture_output=True, text=True)
-        if done.returncode:
-            raise ReproductionError(f"the book could not be built: {' '.join(done.stderr.split())[:300]}")
+        require(done.returncode == 0, f"the book could not be built: {' '.join(done.stderr.split())[:300]}")
         sys.stderr.write(done.stderr.replace(f"{source}/", ""))
         shutil.rmtree(folder / "book", ignore_errors=True)
         shutil.move(out, folder / "book")

@@ -9,6 +9,7 @@ import os
 import re
 import subprocess
 import sys
+import tempfile
 import textwrap
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -83,19 +84,17 @@ def save_recording(chapter: Chapter, name: str, scenes: dict[str, Scene], second
     _check(where, scenes, series_units)
     shown = (scenes, seconds_per_step, series_units, caption, np.array(seen_from) / np.linalg.norm(seen_from))
     path = chapter.folder / "recordings" / f"{name}.rrd"
-    recording, still = (path.with_name(name + ending) for ending in (".rrd.part", ".png.part"))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _write_recording(recording, name, *shown)
-        verify_recording(recording)
-        _write_still(still, *shown)
-        os.replace(recording, path)
-        os.replace(still, path.with_suffix(".png"))
+        with tempfile.TemporaryDirectory(suffix=".part", dir=path.parent) as part:
+            recording, still = Path(part, path.name), Path(part, f"{name}.png")
+            _write_recording(recording, name, *shown)
+            verify_recording(recording)
+            _write_still(still, *shown)
+            os.replace(recording, path)
+            os.replace(still, path.with_suffix(".png"))
     except (OSError, RuntimeError) as error:  # rerun reports a full disk as RuntimeError
         raise ReproductionError(f"cannot write {path} ({error}); is there space, may you write there?") from error
-    finally:
-        for unfinished in filter(Path.exists, (recording, still)):
-            unfinished.unlink()
     return path
 
 

@@ -38,11 +38,6 @@ def write_json(path: Path, content: object) -> None:
     write_atomically(path, json.dumps(content, indent=1, sort_keys=True) + "\n")
 
 
-def chapter_of(identifier: str) -> int:
-    """4 for `F4.2`."""
-    return int(re.match(r"[A-Z](\d+)", identifier).group(1))
-
-
 def write_provenance(folder: Path, profile: str, parameters: dict[int, dict]) -> None:
     """Writes provenance.json (what made the results; no dates) and unit_costs.json (seconds a run of each grid).
 
@@ -79,10 +74,8 @@ def compare(latest: Path, reference: Path) -> dict:
     latest}] (those that changed)}.
     """
     names = sorted({path.stem for folder in (latest, reference) for path in folder.glob("[FT]*.csv")}, key=order)
-    results = [{"id": name,
-                "data": _compare_files(latest / f"{name}.csv", reference / f"{name}.csv", _compare_data),
-                "picture": _compare_files(latest / f"{name}.png", reference / f"{name}.png", _compare_pictures)}
-               for name in names]
+    results = [{"id": name, "data": _compare_files(latest, reference, f"{name}.csv", _compare_data),
+                "picture": _compare_files(latest, reference, f"{name}.png", _compare_pictures)} for name in names]
     now, before = ({row["id"]: row["verdict"] for row in read_json(folder / "claims.json", [])}
                    for folder in (latest, reference))
     verdicts = [{"id": name, "reference": before[name], "latest": now[name]}
@@ -92,8 +85,9 @@ def compare(latest: Path, reference: Path) -> dict:
     return comparison
 
 
-def _compare_files(ours: Path, theirs: Path, differ) -> str:
+def _compare_files(latest: Path, reference: Path, name: str, differ) -> str:
     """One of: identical, what `differ` says, not made, no reference; empty for a table's missing picture."""
+    ours, theirs = latest / name, reference / name
     if not theirs.exists():
         return "no reference" if ours.exists() else ""
     if not ours.exists():
@@ -144,14 +138,14 @@ def accept(latest: Path, reference: Path) -> int:
     made = [path for pattern in ACCEPTED for path in sorted(latest.glob(pattern))]
     require(made, f"there is nothing in {latest} to accept; run `./reproduce.sh run` first")
     claims = read_json(latest / "claims.json", [])
-    chapters = {chapter_of(path.stem) for path in made} | {chapter_of(row["id"]) for row in claims}
+    chapters = {order(name)[1] for name in [path.stem for path in made] + [row["id"] for row in claims]}
     reference.mkdir(parents=True, exist_ok=True)
     for path in [path for pattern in ACCEPTED for path in reference.glob(pattern)]:
-        if chapter_of(path.stem) in chapters:
+        if order(path.stem)[1] in chapters:
             path.unlink()
     for path in made:
         shutil.copyfile(path, reference / path.name)
-    kept = [row for row in read_json(reference / "claims.json", []) if chapter_of(row["id"]) not in chapters]
+    kept = [row for row in read_json(reference / "claims.json", []) if order(row["id"])[1] not in chapters]
     write_json(reference / "claims.json", sorted(kept + claims, key=lambda row: order(row["id"])))
     costs = read_json(reference / "unit_costs.json", {}) | read_json(latest / "unit_costs.json", {})
     write_json(reference / "unit_costs.json", costs)
@@ -159,5 +153,5 @@ def accept(latest: Path, reference: Path) -> int:
 
 
 def order(identifier: str) -> list:
-    """Sorts F4.9 before F4.10."""
+    """["F", 4, ".", 9] for F4.9, which comes before F4.10; the second entry is the chapter."""
     return [int(part) if part.isdigit() else part for part in re.findall(r"\d+|\D+", identifier)]
