@@ -207,6 +207,12 @@ def test_another_interpreter_skips_the_set_up(script):
     assert done.returncode == 2 and done.stderr == "error: LIFELONG_PYTHON=/no/such/python is not a program\n"
 
 
+def test_text_is_read_as_utf8_whatever_the_locale(script):
+    python = script / "tools" / "python3.11"
+    python.write_text(python.read_text() + f'echo "$PYTHONUTF8" >> {script}/calls\n')
+    assert call(script, "lab", LIFELONG_PYTHON=str(python), LC_ALL="C")[1][-2:] == ["-m lifelong_lib lab", "1"]
+
+
 def test_an_old_python_is_refused_in_one_line(script):
     for name in ("python3.11", "python3", "python", "python3.12", "python3.13"):
         (script / "tools" / name).write_text("#!/bin/sh\nexit 1\n")
