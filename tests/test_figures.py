@@ -68,6 +68,17 @@ def test_curve_shows_and_returns_mean_and_standard_error(chapter):
     assert {(row["series"], row["n"]) for row in rows} == {("ours", 2)}
 
 
+def test_rewards_have_plain_numbers_on_their_axis():
+    fig, (ax, *_) = figures.panels(1)
+    ax.plot([-6.0, -0.2])
+    figures.reward_scale(ax)
+    fig.canvas.draw()
+    shown = [text.get_text().replace("\N{MINUS SIGN}", "-") for text in ax.get_yticklabels()]
+    low, high = ax.get_ylim()
+    assert {"-5", "-2", "-1", "-0.5", "-0.2"} <= {text for text, place in zip(shown, ax.get_yticks(), strict=True)
+                                                 if low <= place <= high}
+
+
 def test_bars_stand_side_by_side(chapter):
     fig, (ax,) = figures.panels()
     rows = figures.draw_bars(ax, ["SM", "CP"], {"TaDeLL": np.ones((3, 2)), "PG": np.full((1, 2), 2.0)})

@@ -349,3 +349,18 @@ def test_generators_are_independent_and_go_on_where_they_stopped():
     draws = [rng.random() for rng in generators(seed, 3) + generators(seed, 2)]
     assert len(set(draws)) == 5
     assert draws == [rng.random() for rng in generators(np.random.SeedSequence(1), 5)]
+
+
+def test_standardised_reinforce_keeps_the_direction_and_forgets_the_scale_of_rewards():
+    rollouts, policies, _ = many(2, 1.0, batches=3, n=100)
+    plain, ours = (reinforce_gradient(rollouts, policies, NOISE, standardise=value) for value in (False, True))
+    spread = rollouts.rewards.sum(axis=2).std(axis=1, keepdims=True)
+    assert np.allclose(ours * spread, plain)
+    scaled = rollouts._replace(rewards=1000 * rollouts.rewards)
+    assert np.allclose(reinforce_gradient(scaled, policies, NOISE, standardise=True), ours)
+
+
+def test_standardised_reinforce_survives_returns_that_are_all_alike():
+    rollouts, policies, _ = many(2, 1.0, batches=3, n=100)
+    flat = rollouts._replace(rewards=np.zeros_like(rollouts.rewards))
+    assert not reinforce_gradient(flat, policies, NOISE, standardise=True).any()

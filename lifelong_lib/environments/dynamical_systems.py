@@ -220,7 +220,7 @@ def _limits(clipped: dict[int, float], wrapped: Sequence[int]) -> Callable:
 SPRING_MASS_DAMPER = System(
     name="spring-mass-damper",
     parameters=(
-        Quantity("mass", "kg", 0.3, 3.0),
+        Quantity("mass", "kg", 0.2, 4.0),
         Quantity("damping", "N s/m", 0.01, 0.2),
         Quantity("stiffness", "N/m", 1, 20),
     ),
@@ -234,9 +234,9 @@ SPRING_MASS_DAMPER = System(
 CART_POLE = System(
     name="cart-pole",
     parameters=(
-        Quantity("cart mass", "kg", 0.1, 1.0),
+        Quantity("cart mass", "kg", 0.1, 1.5),
         Quantity("pole mass", "kg", 0.1, 0.5),
-        Quantity("pole length", "m", 0.3, 1.0),
+        Quantity("pole length", "m", 0.25, 1.0),
         Quantity("damping", "N s/m", 0.01, 0.2),
     ),
     state=(
@@ -246,7 +246,7 @@ CART_POLE = System(
         Quantity("angular rate", "rad/s"),
     ),
     actions=(Quantity("force", "N"),),
-    step_seconds=0.02,
+    step_seconds=0.05,
     dynamics=_linear(_cart_pole),
     constrain=_limits({0: 5.0, 1: 10.0, 3: 15.0}, (2,)),
     draw_start=lambda rng, size: np.pi / 8 * rng.random((size, 4)),
@@ -263,7 +263,7 @@ BICYCLE = System(
     ),
     state=(Quantity("tilt", "rad"), Quantity("tilt rate", "rad/s")),
     actions=(Quantity("handlebar torque", "N m"), Quantity("torque rate", "N m/s")),
-    step_seconds=0.02,
+    step_seconds=0.05,
     dynamics=_linear(_bicycle),
     constrain=_limits({1: 15.0}, (0,)),
     draw_start=lambda rng, size: rng.random((size, 2)),
@@ -271,16 +271,16 @@ BICYCLE = System(
 QUADROTOR = System(
     name="quadrotor",
     parameters=(
-        Quantity("inertia about x", "kg m^2", 3.1e-3, 9.4e-3),
-        Quantity("inertia about y", "kg m^2", 3.4e-3, 6.4e-3),
-        Quantity("inertia about z", "kg m^2", 1.1e-2, 2.9e-2),
-        Quantity("arm length", "m", 0.24, 0.33),
+        Quantity("inertia about x", "kg m^2", 1e-3, 2e-2),
+        Quantity("inertia about y", "kg m^2", 1e-3, 2e-2),
+        Quantity("inertia about z", "kg m^2", 2e-3, 4e-2),
+        Quantity("arm length", "m", 0.15, 0.35),
     ),
     state=tuple(Quantity(name, unit) for unit in ("rad", "rad/s") for name in ("roll", "pitch", "yaw")),
     actions=(Quantity("roll force", "N"), Quantity("pitch force", "N"), Quantity("yaw torque", "N m")),
-    step_seconds=0.002,
+    step_seconds=0.05,
     dynamics=_quadrotor,
     constrain=_limits({3: 20.0, 4: 20.0, 5: 20.0}, (0, 1, 2)),
-    draw_start=lambda rng, size: 1.5 * rng.random((size, 6)),
+    draw_start=lambda rng, size: rng.random((size, 6)),
 )
 SYSTEMS = {system.name: system for system in (SPRING_MASS_DAMPER, CART_POLE, BICYCLE, QUADROTOR)}

@@ -26,10 +26,18 @@ def scores(trajectories, policies: np.ndarray, noise: float, discount: float = 1
     return ((weights * residuals).swapaxes(-1, -2) @ states).reshape(T, n, -1)
 
 
-def reinforce_gradient(trajectories, policies: np.ndarray, noise: float, discount: float = 1.0) -> np.ndarray:
-    """Episodic REINFORCE with the mean return as baseline (Williams 1992): (T, d)."""
+def reinforce_gradient(
+    trajectories, policies: np.ndarray, noise: float, discount: float = 1.0, standardise: bool = False
+) -> np.ndarray:
+    """Episodic REINFORCE with the mean return as baseline (Williams 1992): (T, d).
+
+    ``standardise`` divides by the spread of the returns, so that one step size serves tasks whose returns differ by
+    orders of magnitude. The direction stays the same.
+    """
     returns = discounted_returns(trajectories.rewards, discount)
     advantages = returns - returns.mean(axis=1, keepdims=True)
+    if standardise:
+        advantages /= np.maximum(returns.std(axis=1, keepdims=True), np.finfo(float).tiny)
     return (advantages[:, None] @ scores(trajectories, policies, noise))[:, 0] / advantages.shape[1]
 
 

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.ticker import SymmetricalLogLocator
 
 from lifelong_lib.reproduction.fingerprint import require
 from lifelong_lib.reproduction.runs import write_atomically
@@ -69,6 +70,13 @@ def legend(fig):
     with plt.rc_context(STYLE):
         fig.legend(entries.values(), entries.keys(), loc="outside upper center", handlelength=3.2, columnspacing=1.4,
                    ncols=max(1, int(np.ceil(len(entries) / max(1, rows)))))
+
+
+def reward_scale(ax):
+    """Draw rewards, which are below zero, by their order of magnitude, or failures would dwarf all that is good."""
+    ax.set_yscale("symlog", linthresh=0.05)
+    ax.yaxis.set_major_locator(SymmetricalLogLocator(base=10, linthresh=0.05, subs=(1, 2, 5)))
+    ax.yaxis.set_major_formatter("{x:g}")
 
 
 def draw_curves(ax, x, values, method, label=None):
