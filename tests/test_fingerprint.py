@@ -96,6 +96,8 @@ def test_functions_that_cannot_be_followed_are_refused_by_name(code, word):
 @pytest.mark.parametrize("value, word", [
     ("object()", "a object"), ("__import__('numpy').random.default_rng()", "Generator"), ("{0, 8}", "a set"),
     ("__import__('numpy').ones(2)", "a ndarray"), ("__import__('functools').partial(int, '3')", "a partial"),
+    ("__import__('numpy').random.default_rng(1).normal", "a method"),
+    ("__import__('lifelong_lib.transfer.ella').transfer.ella.ELLA(2).partial_fit", "a method"),
     ("type('Net', (), {'__module__': 'notebook'})", "class of the notebook"), ("[{'deep': iter([])}]", "iterator"),
     ("__import__('lifelong_lib.reproduction.runs').reproduction.runs.Chapter(4, 'quick', 1)", "a Chapter"),
 ])  # fmt: skip

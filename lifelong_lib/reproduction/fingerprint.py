@@ -71,7 +71,8 @@ class _Walk:
         if inspect.ismodule(value):
             self._module(value.__name__)
             return f"module {value.__name__}"
-        if callable(value) and hasattr(value, "__qualname__"):
+        of_no_object = isinstance(getattr(value, "__self__", None), (types.NoneType, types.ModuleType))
+        if callable(value) and hasattr(value, "__qualname__") and of_no_object:
             return self._callable_text(value, name)
         if dataclasses.is_dataclass(value) and not kind.__module__.startswith(f"{LIBRARY}.reproduction"):
             fields = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
