@@ -92,6 +92,9 @@ def test_plan_and_why_compute_nothing(project, inside, capsys):
     planned = capsys.readouterr().out
     assert "8 runs: 4 stored, 0 stale, 4 missing" in planned and "min to compute" in planned
     assert re.search(r"chosen +depends on runs that are missing", planned)
+    assert inside(project, "run", "--why", "T4.1", "-p", "tasks=2,3") == 0
+    unknown = capsys.readouterr().out
+    assert re.search(r"chosen +depends on runs that are missing", unknown) and "rests on no stored" not in unknown
     assert inside(project, "run", "--why", "F4.1") == 0
     asked = capsys.readouterr().out
     assert "slopes" in asked and "8 stored" in asked and "rests on no stored" not in asked

@@ -83,7 +83,7 @@ def test_wrong_names_and_types_are_refused(notebook, name, text, complaint):
 def test_ids_are_read_from_the_code_with_the_heading_above(tmp_path):
     cells = ["# Top", "## Curves", 'save_figure(chapter, "F4.2", fig, rows)', "## Words",
              'check_claim(chapter, "C4.2", {})\nsave_table(chapter, "T4.1", rows)',
-             'save_figure(chapter, "F4.2", fig, rows)']
+             '%time save_figure(\n    chapter, "F4.2", fig, rows)\nx = 1  # save_figure(chapter, "F4.3", fig, rows)']
     path = write_notebook(tmp_path / "ch04_ids.ipynb", cells)
     assert made_ids(path) == {"F4.2": ["Curves", "Words"], "C4.2": ["Words"], "T4.1": ["Words"]}
     assert missing_results(path, tmp_path) == ["F4.2", "C4.2", "T4.1"]
