@@ -84,8 +84,8 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     add("test", None, "run the tests; what follows goes to pytest")  # here for the help only, see main
     add("lab", lab_command, "open the notebooks in JupyterLab on this machine")
     options = parser.parse_args(arguments)
-    if getattr(options, "address", None) and options.backend != "dask":
-        parser.error("--address needs --backend dask")
+    if "backend" in options and (options.backend == "dask") != bool(options.address):
+        parser.error("--address needs --backend dask, and --backend dask needs --address")
     return options
 
 

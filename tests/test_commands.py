@@ -25,6 +25,7 @@ from lifelong_lib.bench import Row
     ("run --seeds -3", "'-3' is not a whole number above 0"),
     ("run --backend spark", "invalid choice: 'spark'"),
     ("run --address tcp://a:1", "--address needs --backend dask"),
+    ("run --backend dask", "--backend dask needs --address"),
     ("run --wrong", "unrecognized arguments: --wrong"),
     ("run -p scale", "NAME=VALUE is wanted"),
     ("run -p profile=paper", "profile has its own option"),

@@ -78,13 +78,23 @@ def report(root, profile="quick", name="grid"):
     return json.loads((root / "figures" / "latest" / profile / "runs" / f"ch04-{name}.json").read_text())
 
 
+@pytest.fixture
+def dask():
+    """The address of a cluster of two single-threaded worker processes."""
+    from distributed import LocalCluster  # slow to import
+
+    own = {"host": "127.0.0.1", "n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
+    with LocalCluster(**own, silence_logs=50) as cluster:
+        yield cluster.scheduler_address
+
+
 @pytest.mark.parametrize("backend", ["loky", "dask"])
-def test_worker_processes_give_the_bytes_of_a_serial_run(root, monkeypatch, options, backend):
+def test_worker_processes_give_the_bytes_of_a_serial_run(root, monkeypatch, options, backend, request):
     expected = run_and_read(root)
     configs = ("domain=bicycle,tasks=2", "domain=cart-pole,tasks=3")
     assert sorted(expected) == [f"{config}-s{seed}.npz" for config in configs for seed in (0, 1)]
     monkeypatch.setattr(runs, "ROOT", root / backend)
-    options(backend=backend)
+    options(backend=backend, address=request.getfixturevalue("dask") if backend == "dask" else "")
     results = run_grid(chapter(workers=2), "grid", experiment, CONFIGS)
     assert files(root / backend / "data") == expected
     order = [("cart-pole", 0), ("cart-pole", 1), ("bicycle", 0), ("bicycle", 1)]
