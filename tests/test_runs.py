@@ -378,6 +378,21 @@ def test_run_card_is_the_same_twice_and_picks_follow_the_profile(root):
     assert chapter("paper").pick(smoke=1, quick=2, paper=3) == 3
 
 
+def test_a_simulator_that_is_not_installed_does_not_stop_other_chapters(root, monkeypatch):
+    known = {"numpy": np.__version__}
+
+    def version(package):
+        if package in known:
+            return known[package]
+        raise runs.metadata.PackageNotFoundError(package)
+
+    monkeypatch.setattr(runs.metadata, "version", version)
+    card = run_card(chapter())
+    assert f"numpy {np.__version__}" in card and "pybullet" not in card
+    run_and_read(root)
+    assert set(json.loads(next(root.rglob("*s1.json")).read_text())["versions"]) == {"python", "numpy"}
+
+
 def test_a_notebook_does_not_keep_the_progress_bar(root, monkeypatch):
     import nbformat  # here, because worker processes import this file
     from nbclient import NotebookClient

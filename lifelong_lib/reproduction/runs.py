@@ -183,12 +183,16 @@ def _warn(message: str):
     print(f"warning: {message}", file=sys.stderr)  # warnings.warn would put this machine's paths into the notebook
 
 
+def _versions() -> dict[str, str]:
+    found = {"python": platform.python_version()}
+    for package in PACKAGES:
+        with contextlib.suppress(metadata.PackageNotFoundError):  # of a simulator that another chapter needs
+            found[package] = metadata.version(package)
+    return found
+
+
 def _whole(value, least: int = 0) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and value >= least
-
-
-def _versions() -> dict[str, str]:
-    return {"python": platform.python_version()} | {package: metadata.version(package) for package in PACKAGES}
 
 
 def _tasks(chapter, name, configs, seeds) -> dict[Path, tuple[dict, int]]:
@@ -277,8 +281,8 @@ def _bar(title, tasks):
     """Progress with the time left, on this process's own standard error: a notebook must not keep it in its outputs."""
     own = getattr(sys.stderr, "_original_stdstream_copy", None)  # where ipykernel keeps it
     stream = sys.__stderr__ if own is None else open(own, "w", closefd=False)
-    pace = {"ascii": False, "mininterval": 0.5} if stream.isatty() else {"ascii": True, "mininterval": 15}
-    return tqdm(total=len(tasks), desc=title, unit="run", file=stream, disable=not tasks, **pace)
+    pace = 0.5 if stream.isatty() else 15  # seconds
+    return tqdm(total=len(tasks), desc=title, unit="run", file=stream, disable=not tasks, mininterval=pace)
 
 
 def _plan(chapter, grid, runs, stale, todo):
