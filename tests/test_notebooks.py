@@ -22,16 +22,19 @@ def notebook(tmp_path):
     return write_notebook(tmp_path / "ch04_small.ipynb", [TITLE, "print(scale, tasks)", BROKEN])
 
 
-def test_parameters_have_a_value_and_a_comment(notebook):
+def test_parameters_have_their_values_in_order(notebook):
     found = read_parameters(notebook)
     assert list(found) == ["profile", "seeds", "workers", "output_dir", "scale", "tasks", "broken"]
-    assert found["scale"] == (1.0, "slope [1/s]") and found["workers"] == (1, "")
+    assert found["scale"] == 1.0 and found["tasks"] == [1, 2]
 
 
 @pytest.mark.parametrize("source, complaint", [
     ("a = 1\nb = a * 2", "not `b = a * 2`"),
     ("import os", "not `import os`"),
     ("a = b = 1", "not `a = b = 1`"),
+    ("a = 1\nscale = \nb = 2", "not invalid syntax (its text, line 2)"),
+    ("a = [1,", "never closed (its text, line 1)"),
+    ("a = {[1]: 2}", "not `a = {[1]: 2}`"),
     (None, "0 cells tagged 'parameters'"),
 ])
 def test_a_parameters_cell_holds_literals_only(tmp_path, source, complaint):
@@ -72,7 +75,7 @@ def test_values_take_the_type_of_the_default(notebook, name, text, value):
     ("seeds", True, "wants a whole number"), ("scale", "fast", "wants a number"),
     ("broken", "1", "wants true or false"), ("tasks", "3,x", "wants a list"), ("tasks", "[1.5]", "wants a list"),
     ("profile", 3, "wants a text"), ("sclae", "1", "did you mean 'scale'?"),
-    ("zzz", "1", "it has profile, seeds"),
+    ("zzz", "1", "it has profile, seeds"), ("scale", "{[1]: 2}", "wants a number"),
 ])
 def test_wrong_names_and_types_are_refused(notebook, name, text, complaint):
     with pytest.raises(ReproductionError) as caught:

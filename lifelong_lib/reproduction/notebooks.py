@@ -6,11 +6,9 @@ notebook's own parameters cell before anything runs, and is handed over as a Pyt
 
 import ast
 import difflib
-import io
 import json
 import os
 import re
-import tokenize
 from pathlib import Path
 from unittest.mock import patch
 
@@ -41,26 +39,23 @@ def read_notebook(path: Path) -> nbformat.NotebookNode:
         raise ReproductionError(f"{path.name} is not a readable notebook: {str(error).splitlines()[0]}") from error
 
 
-def read_parameters(path: Path) -> dict[str, tuple[object, str]]:
-    """{name: (default, comment)} of the one cell tagged `parameters`, in the cell's order.
+def read_parameters(path: Path) -> dict[str, object]:
+    """{name: default} of the one cell tagged `parameters`, in the cell's order.
 
     Raises ReproductionError when there is no such cell, more than one, or anything in it but `name = literal`:
     papermill sets new values *after* the cell, so whatever it computed from a default would keep the default.
     """
     cells = [cell for cell in read_notebook(path).cells if "parameters" in cell.metadata.get("tags", [])]
     require(len(cells) == 1, f"{path.name} has {len(cells)} cells tagged 'parameters'; it needs exactly one")
-    source = cells[0].source
-    tokens = tokenize.generate_tokens(io.StringIO(source).readline)
-    comments = {token.start[0]: token.string.lstrip("# ") for token in tokens if token.type == tokenize.COMMENT}
-    parameters = {}
-    for statement in ast.parse(source).body:
-        try:
+    parameters, text = {}, ""
+    try:
+        for statement in ast.parse(cells[0].source, "its text").body:
+            text = f"`{ast.unparse(statement)}`"
             (target,) = statement.targets
-            parameters[target.id] = (ast.literal_eval(statement.value), comments.get(statement.end_lineno, ""))
-        except (AttributeError, ValueError) as error:
-            text = ast.get_source_segment(source, statement)
-            message = f"the parameters cell of {path.name} may hold only `name = literal`, not `{text}`"
-            raise ReproductionError(message) from error
+            parameters[target.id] = ast.literal_eval(statement.value)
+    except (SyntaxError, AttributeError, ValueError, TypeError) as error:
+        message = f"the parameters cell of {path.name} may hold only `name = literal`, not {text or error}"
+        raise ReproductionError(message) from error
     return parameters
 
 
@@ -69,14 +64,14 @@ def typed_parameters(path: Path, given: dict[str, object]) -> dict[str, object]:
 
     Unknown names (with the nearest known one) and values of another type than the default raise ReproductionError.
     """
-    typed = {name: default for name, (default, _) in read_parameters(path).items()}
+    typed = read_parameters(path)
     for name, value in given.items():
         near = difflib.get_close_matches(name, typed, n=1)
         hint = f"did you mean '{near[0]}'?" if near else f"it has {', '.join(typed)}"
         require(name in typed, f"{path.name} has no parameter '{name}'; {hint}")
         try:
             typed[name] = _convert(value, typed[name])
-        except (ValueError, SyntaxError) as error:
+        except (ValueError, SyntaxError, TypeError) as error:
             wanted = KINDS.get(type(typed[name]), "a literal")
             raise ReproductionError(f"parameter '{name}' of {path.name} wants {wanted}, not '{value}'") from error
     return typed
@@ -145,7 +140,7 @@ def execute(path: Path, parameters: dict[str, object], folder: Path, options: di
     computed and cells may fail. Otherwise a failing cell raises ReproductionError with notebook, cell, error and copy.
     """
     options = options or {}
-    defaults = typed_parameters(path, {})
+    defaults = read_parameters(path)
     changed = {name: value for name, value in typed_parameters(path, parameters).items() if value != defaults[name]}
     copy = folder / "notebooks" / path.name
     copy.parent.mkdir(parents=True, exist_ok=True)
