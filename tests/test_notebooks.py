@@ -53,8 +53,10 @@ def test_two_parameters_cells_are_refused(tmp_path):
         read_parameters(path)
 
 
-def test_a_file_that_is_no_notebook_is_named(tmp_path):
-    (tmp_path / "ch04_torn.ipynb").write_text('{"cells": [')
+@pytest.mark.parametrize("text", ['{"cells": [', "", "[]", '{"cells": 3}', '{"nbformat": 4, "nbformat_minor": 5,'
+                                  ' "metadata": {}, "cells": [{"cell_type": "code", "metadata": {}, "source": 3}]}'])
+def test_a_file_that_is_no_notebook_is_named(tmp_path, text):
+    (tmp_path / "ch04_torn.ipynb").write_text(text)
     with pytest.raises(ReproductionError, match="ch04_torn.ipynb is not a readable notebook"):
         read_parameters(tmp_path / "ch04_torn.ipynb")
 

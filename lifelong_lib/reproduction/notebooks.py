@@ -34,8 +34,10 @@ def find_notebooks(folder: Path | None = None) -> dict[int, Path]:
 def read_notebook(path: Path) -> nbformat.NotebookNode:
     """The notebook at `path`; a file that is no notebook raises ReproductionError."""
     try:
-        return nbformat.read(path, as_version=4)
-    except (ValueError, nbformat.ValidationError, AttributeError) as error:
+        notebook = nbformat.read(path, as_version=4)
+        nbformat.validate(notebook)  # reading one only logs what is wrong
+        return notebook
+    except (ValueError, nbformat.ValidationError, AttributeError, TypeError) as error:
         raise ReproductionError(f"{path.name} is not a readable notebook: {str(error).splitlines()[0]}") from error
 
 
