@@ -4,6 +4,7 @@ import json
 
 import pytest
 from conftest import BROKEN, REPOSITORY, SET_UP, TITLE, write_notebook
+from jupyter_client.kernelspec import NoSuchKernel
 
 from lifelong_lib.reproduction.notebooks import (
     execute,
@@ -53,8 +54,10 @@ def test_two_parameters_cells_are_refused(tmp_path):
         read_parameters(path)
 
 
-@pytest.mark.parametrize("text", ['{"cells": [', "", "[]", '{"cells": 3}', '{"nbformat": 4, "nbformat_minor": 5,'
-                                  ' "metadata": {}, "cells": [{"cell_type": "code", "metadata": {}, "source": 3}]}'])
+@pytest.mark.parametrize("text", [
+    '{"cells": [', "", "[]", '{"cells": 3}', '{"nbformat": 4, "nbformat_minor": 5, "metadata": {}, "cells": ['
+    '{"cell_type": "raw", "metadata": {}, "source": 3, "id": "a"}]}',
+])
 def test_a_file_that_is_no_notebook_is_named(tmp_path, text):
     (tmp_path / "ch04_torn.ipynb").write_text(text)
     with pytest.raises(ReproductionError, match="ch04_torn.ipynb is not a readable notebook"):
@@ -115,6 +118,22 @@ def test_a_kernel_that_dies_is_named(tmp_path):
     path = write_notebook(tmp_path / "ch04_dies.ipynb", [TITLE, "import os\nos._exit(1)"])
     with pytest.raises(ReproductionError, match="ch04_dies.ipynb: the kernel died"):
         execute(path, {}, tmp_path / "out")
+
+
+def test_a_kernel_that_does_not_start_is_named(notebook, tmp_path, monkeypatch):
+    spec = tmp_path / "jupyter" / "kernels" / "python3" / "kernel.json"
+    spec.parent.mkdir(parents=True)
+    spec.write_text('{"argv": ["false"], "display_name": "dies at once", "language": "python"}')
+    monkeypatch.setenv("JUPYTER_PATH", str(tmp_path / "jupyter"))
+    with pytest.raises(ReproductionError, match="ch04_small.ipynb: the kernel died .*install ipykernel"):
+        execute(notebook, {}, tmp_path / "out")
+
+    def none(self, name):
+        raise NoSuchKernel(name)
+
+    monkeypatch.setattr("jupyter_client.kernelspec.KernelSpecManager.get_kernel_spec", none)
+    with pytest.raises(ReproductionError, match="ch04_small.ipynb: the kernel died .No such kernel"):
+        execute(notebook, {}, tmp_path / "out")
 
 
 def test_nothing_runs_when_a_parameter_is_wrong(notebook, tmp_path):

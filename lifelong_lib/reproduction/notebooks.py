@@ -14,7 +14,7 @@ from unittest.mock import patch
 
 import nbformat
 import papermill
-from nbclient.exceptions import DeadKernelError
+from jupyter_client.kernelspec import NoSuchKernel
 from papermill.exceptions import PapermillExecutionError
 
 from .fingerprint import SOURCES, ReproductionError, require
@@ -158,6 +158,6 @@ def execute(path: Path, parameters: dict[str, object], folder: Path, options: di
             cause = (error.evalue.strip().splitlines() or ["no message"])[0]
             place = f"{path.name}, cell [{error.exec_count}]"
             raise ReproductionError(f"{place}: {error.ename}: {cause} (the run so far: {copy})") from error
-    except DeadKernelError as error:
-        message = f"{path.name}: the kernel died, perhaps for want of memory (the run so far: {copy}); run again"
-        raise ReproductionError(message) from error
+    except (RuntimeError, NoSuchKernel) as error:  # at its start or later
+        mend = "give it more memory, or install ipykernel, and run again"
+        raise ReproductionError(f"{path.name}: the kernel died ({error}; the run so far: {copy}): {mend}") from error
