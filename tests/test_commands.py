@@ -96,6 +96,8 @@ def test_plan_and_why_compute_nothing(project, inside, capsys):
     assert inside(project, "run", "--why", "T4.1", "-p", "tasks=2,3") == 0
     unknown = capsys.readouterr().out
     assert re.search(r"chosen +depends on runs that are missing", unknown) and "rests on no stored" not in unknown
+    assert inside(project, "run", "--plan", "-p", "broken=true") == 2
+    assert "ValueError: broken on demand" in capsys.readouterr().err
     assert inside(project, "run", "--why", "F4.1") == 0
     asked = capsys.readouterr().out
     assert "slopes" in asked and "8 stored" in asked and "rests on no stored" not in asked

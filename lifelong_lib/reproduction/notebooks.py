@@ -139,7 +139,8 @@ def execute(path: Path, parameters: dict[str, object], folder: Path, options: di
     """Runs the notebook with checked `parameters`; the executed copy goes to `folder`/notebooks.
 
     `options` reach run_grid through the environment variable LIFELONG_OPTIONS. With options["plan"], nothing is
-    computed and cells may fail. Otherwise a failing cell raises ReproductionError with notebook, cell, error and copy.
+    computed, and cells may fail from the first missing run on. Otherwise a failing cell raises ReproductionError with
+    notebook, cell, error and copy.
     """
     options = options or {}
     defaults = read_parameters(path)
@@ -154,10 +155,13 @@ def execute(path: Path, parameters: dict[str, object], folder: Path, options: di
                 progress_bar=False, allow_errors="plan" in options, extra_arguments=["--log-level=CRITICAL"],
             )
     except PapermillExecutionError as error:
-        if "plan" not in options:
-            cause = (error.evalue.strip().splitlines() or ["no message"])[0]
-            place = f"{path.name}, cell [{error.exec_count}]"
-            raise ReproductionError(f"{place}: {error.ename}: {cause} (the run so far: {copy})") from error
+        errors = [(cell.execution_count, output) for cell in read_notebook(copy).cells
+                  for output in cell.get("outputs", []) if output.output_type == "error"]  # fmt: skip
+        count, first = [*errors, (error.exec_count, error)][0]  # papermill names the last
+        if "plan" not in options or first.ename != "NotStored":
+            cause = (first.evalue.strip().splitlines() or ["no message"])[0]
+            place = f"{path.name}, cell [{count}]"
+            raise ReproductionError(f"{place}: {first.ename}: {cause} (the run so far: {copy})") from error
     except (RuntimeError, NoSuchKernel) as error:  # at its start or later
         mend = "give it more memory, or install ipykernel, and run again"
         raise ReproductionError(f"{path.name}: the kernel died ({error}; the run so far: {copy}): {mend}") from error
