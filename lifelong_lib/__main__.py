@@ -4,8 +4,6 @@ Exit codes: 0 everything asked for was made; 1 something was not (a chapter fail
 speed is missed); 2 the command or its input is wrong; 130 interrupted.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os
@@ -17,7 +15,8 @@ from pathlib import Path
 
 try:
     from lifelong_lib.reproduction import notebooks, report
-    from lifelong_lib.reproduction.runs import PROFILES, ROOT, ReproductionError
+    from lifelong_lib.reproduction.fingerprint import ReproductionError, require
+    from lifelong_lib.reproduction.runs import PROFILES, ROOT
 except ModuleNotFoundError as missing:
     print(f"error: the package {missing.name} is missing from {sys.executable}; ./reproduce.sh installs it",
           file=sys.stderr)
@@ -26,7 +25,10 @@ except ModuleNotFoundError as missing:
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs one command; returns the exit code. A foreseeable mistake prints one line and returns 2."""
+    arguments = sys.argv[1:] if arguments is None else arguments
     try:
+        if arguments[:1] == ["test"]:  # what follows goes to pytest
+            return call("pytest", *arguments[1:])
         options = parse(arguments)
         return options.command(options)
     except KeyboardInterrupt:
@@ -49,28 +51,23 @@ class Parser(argparse.ArgumentParser):
         sys.exit(complain(f"{message}; see {self.prog} --help", 2))
 
 
-def parse(arguments: list[str] | None) -> argparse.Namespace:
-    """The typed command line; `command` is the function to call with it, `rest` what pytest gets."""
+def parse(arguments: list[str]) -> argparse.Namespace:
+    """The typed command line; `command` is the function to call with it."""
     parser = Parser(prog="./reproduce.sh", description="Makes every figure, table and claim of the thesis afresh.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    profile, grids = Parser(add_help=False), Parser(add_help=False)
+    profile.add_argument("--profile", choices=PROFILES, default="quick", help="how big (default: quick)")
+    grids.add_argument("--chapters", type=numbers, help="chapters, as in 2,4 (default: all)")
+    grids.add_argument("--workers", type=positive, help="processes at a time (default: the notebook's)")
+    grids.add_argument("--backend", choices=("loky", "dask"), default="loky", help="where runs are computed")
+    grids.add_argument("--address", help="the Dask scheduler, as in tcp://host:8786")
 
-    def add(name: str, function, about: str) -> argparse.ArgumentParser:
-        command = commands.add_parser(name, help=about, description=about, allow_abbrev=False)
+    def add(name: str, function, about: str, *parents: Parser) -> Parser:
+        command = commands.add_parser(name, help=about, description=about, parents=parents, allow_abbrev=False)
         command.set_defaults(command=function)
         return command
 
-    def selects(command: argparse.ArgumentParser) -> None:
-        command.add_argument("--profile", choices=PROFILES, default="quick", help="how big (default: quick)")
-
-    def computes(command: argparse.ArgumentParser) -> None:
-        selects(command)
-        command.add_argument("--chapters", type=numbers, help="chapters, as in 2,4 (default: all)")
-        command.add_argument("--workers", type=positive, help="processes at a time (default: the notebook's)")
-        command.add_argument("--backend", choices=("loky", "dask"), default="loky", help="where runs are computed")
-        command.add_argument("--address", help="the Dask scheduler, as in tcp://host:8786")
-
-    run = add("run", run_command, "run the notebooks, compare with the reference, write the book")
-    computes(run)
+    run = add("run", run_command, "run the notebooks, compare with the reference, write the book", profile, grids)
     run.add_argument("--seeds", type=positive, help="seeds a configuration (default: the profile's)")
     run.add_argument("--fresh", action="store_true", help="recompute what other code made, at paper too")
     run.add_argument("-p", action="append", default=[], metavar="NAME=VALUE", help="a parameter of the notebook")
@@ -78,21 +75,17 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     instead.add_argument("--plan", action="store_true", help="only predict the minutes")
     instead.add_argument("--why", metavar="ID", help="only say which runs a figure, table or claim needs, as in F4.2")
     instead.add_argument("--audit", type=positive, metavar="K", help="only recompute K stored runs and compare")
-    audit = add("audit", run_command, "recompute K stored runs and say whether they come out the same")
-    computes(audit)
+    audit = add("audit", run_command, "recompute K stored runs and say if they come out the same", profile, grids)
     audit.add_argument("audit", type=positive, metavar="K")
     audit.set_defaults(seeds=None, fresh=False, p=[], plan=False, why=None)
-    selects(add("compare", compare_command, "compare the last run with the committed reference"))
-    selects(add("accept", accept_command, "make the last run the reference"))
+    add("compare", compare_command, "compare the last run with the committed reference", profile)
+    add("accept", accept_command, "make the last run the reference", profile)
     add("bench", bench_command, "measure the speed ratios")
-    add("test", test_command, "run the tests; what follows goes to pytest")
+    add("test", None, "run the tests; what follows goes to pytest")  # here for the help only, see main
     add("lab", lab_command, "open the notebooks in JupyterLab on this machine")
-    arguments = sys.argv[1:] if arguments is None else arguments
-    rest = arguments[1:] if arguments[:1] == ["test"] else []
-    options = parser.parse_args(arguments[:1] if rest else arguments)
-    options.rest = rest
-    if getattr(options, "address", None) and options.backend != "dask":
-        parser.error("--address needs --backend dask")
+    options = parser.parse_args(arguments)
+    if "backend" in options and (options.backend == "dask") != bool(options.address):
+        parser.error("--address needs --backend dask, and --backend dask needs --address")
     return options
 
 
@@ -103,34 +96,28 @@ def positive(text: str) -> int:
 
 
 def numbers(text: str) -> list[int]:
-    return sorted({positive(part.strip()) for part in text.split(",")})
+    return [positive(part.strip()) for part in text.split(",")]
 
 
 def run_command(options: argparse.Namespace) -> int:
     """Checks everything that was asked for, then plans, explains, audits or runs."""
     found = notebooks.find_notebooks()
     for number in options.chapters or []:
-        if number not in found:
-            raise ReproductionError(f"chapter {number} has no notebook; there are {', '.join(map(str, found))}")
+        require(number in found, f"chapter {number} has no notebook; there are {', '.join(map(str, found))}")
     chosen = {number: path for number, path in found.items() if number in (options.chapters or found)}
     if options.why:
         chosen = {number: path for number, path in chosen.items() if options.why in notebooks.made_ids(path)}
-        if not chosen:
-            raise ReproductionError(f"no notebook makes {options.why}; ids look like F4.2, T4.1 or C4.5")
-    if not chosen:
-        raise ReproductionError("there is no notebook in notebooks/ to run")
+        require(chosen, f"no notebook makes {options.why}; ids look like F4.2, T4.1 or C4.5")
     given: dict[str, object] = {"profile": options.profile}
     given |= {name: value for name in ("seeds", "workers") if (value := getattr(options, name)) is not None}
     for setting in options.p:
         name, equals, value = setting.partition("=")
-        if not equals or name in notebooks.COMMON:
-            wanted = f"{name} has its own option" if equals else "NAME=VALUE is wanted"
-            raise ReproductionError(f"-p {setting}: {wanted}")
+        require(equals, f"-p {setting}: NAME=VALUE is wanted")
+        require(name not in notebooks.COMMON, f"-p {setting}: {name} has its own option")
         given[name] = value
     typed = {number: notebooks.typed_parameters(path, given) for number, path in chosen.items()}
-    if options.plan or options.why:
-        return plan(options, chosen, typed)
-    return audit_runs(options, chosen, typed) if options.audit else run(options, chosen, typed)
+    command = audit_runs if options.audit else plan if options.plan or options.why else run
+    return command(options, chosen, typed)
 
 
 def kernel_options(options: argparse.Namespace, **more: object) -> dict:
@@ -148,19 +135,17 @@ def run(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, d
     for place, (number, path) in enumerate(chosen.items(), 1):
         start, title = time.time(), f"[{place}/{len(chosen)}] chapter {number}"
         print(f"{title}, {options.profile}: {path.name}", file=sys.stderr, flush=True)
-        for old in (folder / "runs").glob(f"ch{number:02d}-*.json"):   # an experiment may have been renamed
+        for old in (folder / "runs").glob(f"ch{number:02d}-*.json"):  # an experiment may have been renamed
             old.unlink()
         try:
             notebooks.execute(path, typed[number], folder, kernel_options(options))
             missing = notebooks.missing_results(path, folder, since=start)
-            if missing:
-                raise ReproductionError(f"{path.name} ran, but did not make {', '.join(missing)}")
+            require(not missing, f"{path.name} ran, but did not make {', '.join(missing)}")
         except ReproductionError as error:
             complain(str(error), 1)
             continue
         print(f"{title} made in {time.time() - start:.0f} s", file=sys.stderr, flush=True)
         finished[number] = typed[number]
-    folder.mkdir(parents=True, exist_ok=True)
     report.write_provenance(folder, options.profile, finished)
     print("\n".join(report.comparison_lines(report.compare(folder, reference))))
     counts = report.verdict_counts(report.read_json(folder / "claims.json", []))
@@ -173,24 +158,21 @@ def run(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, d
 def plan(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, dict]) -> int:
     """--plan: minutes a grid and in all. --why ID: the grids that ID rests on. Nothing is computed or overwritten."""
     grids = look(options, chosen, typed)
+    seen = {(grid["chapter"], grid["name"]) for grid in grids}
+    named = [(number, name) for number, path in chosen.items() for name in notebooks.grid_names(path)]
+    unseen = [place for place in named if place not in seen]
+    if options.why:
+        grids = [grid for grid in grids if options.why in grid["makes"]]
     for grid in grids:
-        if options.why and options.why not in grid["makes"]:
-            continue
-        line = (f"chapter {grid['chapter']}  {grid['name']:28} {grid['wanted']:5} runs: {grid['stored']} stored, "
-                f"{grid['stale']} stale, {grid['missing']} missing")
-        minutes = "  minutes unknown" if grid["seconds"] is None else f"  {grid['seconds'] / 60:6.1f} min"
-        print(line + ("" if options.why else minutes))
+        minutes = "minutes unknown" if grid["seconds"] is None else f"{grid['seconds'] / 60:6.1f} min"
+        print(f"chapter {grid['chapter']}  {grid['name']:28} {grid['wanted']:5} runs: {grid['stored']} stored, "
+              f"{grid['stale']} stale, {grid['missing']} missing  {minutes}")
         for cause, count in grid["causes"].items():
             print(f"    {count} stale because {cause}")
-    if options.why:
-        if not any(options.why in grid["makes"] for grid in grids):
-            print(f"{options.why} rests on no stored runs: its notebook computes it every time")
-        return 0
-    seen = {(grid["chapter"], grid["name"]) for grid in grids}
-    for number, path in chosen.items():
-        for name in notebooks.grid_names(path):
-            if (number, name) not in seen:
-                print(f"chapter {number}  {name:28} depends on runs that are missing; minutes unknown")
+    for number, name in unseen:
+        print(f"chapter {number}  {name:28} depends on runs that are missing; minutes unknown")
+    if options.why and not grids + unseen:
+        print(f"{options.why} rests on no stored runs: its notebook computes it every time")
     known = sum(grid["seconds"] or 0 for grid in grids)
     print(f"about {known / 60:.1f} min to compute, as far as it is known; stored results take the time of drawing only")
     return 0
@@ -206,7 +188,7 @@ def audit_runs(options: argparse.Namespace, chosen: dict[int, Path], typed: dict
     print(f"{same} of {len(rows)} recomputed runs are identical to what is stored")
     if len(rows) < options.audit:
         return complain(f"of {options.audit} runs drawn, the notebooks as they are now own only {len(rows)}", 1)
-    return 0 if same == len(rows) else 1
+    return int(same < len(rows))
 
 
 def look(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, dict]) -> list[dict]:
@@ -226,9 +208,7 @@ def look(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, 
 def compare_command(options: argparse.Namespace) -> int:
     folder, reference = places(options)
     for place, mend in ((folder, "run"), (reference, "accept")):
-        if not place.is_dir():
-            command = f"./reproduce.sh {mend} --profile {options.profile}"
-            raise ReproductionError(f"{place} is not there; `{command}` makes it")
+        require(place.is_dir(), f"{place} is not there; `./reproduce.sh {mend} --profile {options.profile}` makes it")
     print("\n".join(report.comparison_lines(report.compare(folder, reference))))
     return 0
 
@@ -242,17 +222,16 @@ def accept_command(options: argparse.Namespace) -> int:
 def bench_command(options: argparse.Namespace) -> int:
     from lifelong_lib import bench
 
-    return 0 if all(row.ok for row in bench.main()) else 1
-
-
-def test_command(options: argparse.Namespace) -> int:
-    return subprocess.run([sys.executable, "-m", "pytest", *options.rest], cwd=ROOT).returncode
+    return int(not all(row.ok for row in bench.main()))
 
 
 def lab_command(options: argparse.Namespace) -> int:
     as_root = ["--allow-root"] if os.geteuid() == 0 else []
-    command = [sys.executable, "-m", "jupyterlab", "--ip=127.0.0.1", *as_root, "notebooks"]
-    return subprocess.run(command, cwd=ROOT).returncode
+    return call("jupyterlab", "--ip=127.0.0.1", *as_root, "notebooks")
+
+
+def call(module: str, *arguments: str) -> int:
+    return subprocess.run([sys.executable, "-m", module, *arguments], cwd=ROOT).returncode
 
 
 def places(options: argparse.Namespace) -> tuple[Path, Path]:

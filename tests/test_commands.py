@@ -25,6 +25,7 @@ from lifelong_lib.bench import Row
     ("run --seeds -3", "'-3' is not a whole number above 0"),
     ("run --backend spark", "invalid choice: 'spark'"),
     ("run --address tcp://a:1", "--address needs --backend dask"),
+    ("run --backend dask", "--backend dask needs --address"),
     ("run --wrong", "unrecognized arguments: --wrong"),
     ("run -p scale", "NAME=VALUE is wanted"),
     ("run -p profile=paper", "profile has its own option"),
@@ -92,6 +93,11 @@ def test_plan_and_why_compute_nothing(project, inside, capsys):
     planned = capsys.readouterr().out
     assert "8 runs: 4 stored, 0 stale, 4 missing" in planned and "min to compute" in planned
     assert re.search(r"chosen +depends on runs that are missing", planned)
+    assert inside(project, "run", "--why", "T4.1", "-p", "tasks=2,3") == 0
+    unknown = capsys.readouterr().out
+    assert re.search(r"chosen +depends on runs that are missing", unknown) and "rests on no stored" not in unknown
+    assert inside(project, "run", "--plan", "-p", "broken=true") == 2
+    assert "ValueError: broken on demand" in capsys.readouterr().err
     assert inside(project, "run", "--why", "F4.1") == 0
     asked = capsys.readouterr().out
     assert "slopes" in asked and "8 stored" in asked and "rests on no stored" not in asked

@@ -4,6 +4,7 @@ import json
 
 import pytest
 from conftest import BROKEN, REPOSITORY, SET_UP, TITLE, write_notebook
+from jupyter_client.kernelspec import NoSuchKernel
 
 from lifelong_lib.reproduction.notebooks import (
     execute,
@@ -22,16 +23,19 @@ def notebook(tmp_path):
     return write_notebook(tmp_path / "ch04_small.ipynb", [TITLE, "print(scale, tasks)", BROKEN])
 
 
-def test_parameters_have_a_value_and_a_comment(notebook):
+def test_parameters_have_their_values_in_order(notebook):
     found = read_parameters(notebook)
     assert list(found) == ["profile", "seeds", "workers", "output_dir", "scale", "tasks", "broken"]
-    assert found["scale"] == (1.0, "slope [1/s]") and found["workers"] == (1, "")
+    assert found["scale"] == 1.0 and found["tasks"] == [1, 2]
 
 
 @pytest.mark.parametrize("source, complaint", [
     ("a = 1\nb = a * 2", "not `b = a * 2`"),
     ("import os", "not `import os`"),
     ("a = b = 1", "not `a = b = 1`"),
+    ("a = 1\nscale = \nb = 2", "not invalid syntax (its text, line 2)"),
+    ("a = [1,", "never closed (its text, line 1)"),
+    ("a = {[1]: 2}", "not `a = {[1]: 2}`"),
     (None, "0 cells tagged 'parameters'"),
 ])
 def test_a_parameters_cell_holds_literals_only(tmp_path, source, complaint):
@@ -50,8 +54,12 @@ def test_two_parameters_cells_are_refused(tmp_path):
         read_parameters(path)
 
 
-def test_a_file_that_is_no_notebook_is_named(tmp_path):
-    (tmp_path / "ch04_torn.ipynb").write_text('{"cells": [')
+@pytest.mark.parametrize("text", [
+    '{"cells": [', "", "[]", '{"cells": 3}', '{"nbformat": 4, "nbformat_minor": 5, "metadata": {}, "cells": ['
+    '{"cell_type": "raw", "metadata": {}, "source": 3, "id": "a"}]}',
+])
+def test_a_file_that_is_no_notebook_is_named(tmp_path, text):
+    (tmp_path / "ch04_torn.ipynb").write_text(text)
     with pytest.raises(ReproductionError, match="ch04_torn.ipynb is not a readable notebook"):
         read_parameters(tmp_path / "ch04_torn.ipynb")
 
@@ -72,7 +80,7 @@ def test_values_take_the_type_of_the_default(notebook, name, text, value):
     ("seeds", True, "wants a whole number"), ("scale", "fast", "wants a number"),
     ("broken", "1", "wants true or false"), ("tasks", "3,x", "wants a list"), ("tasks", "[1.5]", "wants a list"),
     ("profile", 3, "wants a text"), ("sclae", "1", "did you mean 'scale'?"),
-    ("zzz", "1", "it has profile, seeds"),
+    ("zzz", "1", "it has profile, seeds"), ("scale", "{[1]: 2}", "wants a number"),
 ])
 def test_wrong_names_and_types_are_refused(notebook, name, text, complaint):
     with pytest.raises(ReproductionError) as caught:
@@ -83,7 +91,7 @@ def test_wrong_names_and_types_are_refused(notebook, name, text, complaint):
 def test_ids_are_read_from_the_code_with_the_heading_above(tmp_path):
     cells = ["# Top", "## Curves", 'save_figure(chapter, "F4.2", fig, rows)', "## Words",
              'check_claim(chapter, "C4.2", {})\nsave_table(chapter, "T4.1", rows)',
-             'save_figure(chapter, "F4.2", fig, rows)']
+             '%time save_figure(\n    chapter, "F4.2", fig, rows)\nx = 1  # save_figure(chapter, "F4.3", fig, rows)']
     path = write_notebook(tmp_path / "ch04_ids.ipynb", cells)
     assert made_ids(path) == {"F4.2": ["Curves", "Words"], "C4.2": ["Words"], "T4.1": ["Words"]}
     assert missing_results(path, tmp_path) == ["F4.2", "C4.2", "T4.1"]
@@ -110,6 +118,22 @@ def test_a_kernel_that_dies_is_named(tmp_path):
     path = write_notebook(tmp_path / "ch04_dies.ipynb", [TITLE, "import os\nos._exit(1)"])
     with pytest.raises(ReproductionError, match="ch04_dies.ipynb: the kernel died"):
         execute(path, {}, tmp_path / "out")
+
+
+def test_a_kernel_that_does_not_start_is_named(notebook, tmp_path, monkeypatch):
+    spec = tmp_path / "jupyter" / "kernels" / "python3" / "kernel.json"
+    spec.parent.mkdir(parents=True)
+    spec.write_text('{"argv": ["false"], "display_name": "dies at once", "language": "python"}')
+    monkeypatch.setenv("JUPYTER_PATH", str(tmp_path / "jupyter"))
+    with pytest.raises(ReproductionError, match="ch04_small.ipynb: the kernel died .*install ipykernel"):
+        execute(notebook, {}, tmp_path / "out")
+
+    def none(self, name):
+        raise NoSuchKernel(name)
+
+    monkeypatch.setattr("jupyter_client.kernelspec.KernelSpecManager.get_kernel_spec", none)
+    with pytest.raises(ReproductionError, match="ch04_small.ipynb: the kernel died .No such kernel"):
+        execute(notebook, {}, tmp_path / "out")
 
 
 def test_nothing_runs_when_a_parameter_is_wrong(notebook, tmp_path):

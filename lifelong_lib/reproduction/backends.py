@@ -4,7 +4,6 @@ All three do the same with a run, so that its numbers cannot depend on the place
 """
 
 import contextlib
-import itertools
 import os
 import re
 import signal
@@ -26,25 +25,20 @@ def completed(experiment: Callable, calls: Mapping, backend: str, workers: int, 
     """(key, values, wall seconds) of every call, in order of completion. Closing it early stops the workers.
 
     calls: key -> (label for errors, configuration, entropy of the SeedSequence); backend: loky or dask; workers:
-    number of processes, 1 with loky being this one; address: of a running Dask scheduler, "" for a cluster of our own.
+    number of processes of loky, 1 being this one; address: of a running Dask scheduler.
     """
     blob = cloudpickle.dumps(experiment)  # by value: workers cannot import a notebook
     if not calls or (backend == "loky" and workers == 1):
         yield from ((key, *_compute(blob, *call)) for key, call in calls.items())
         return
-    waiting, running = iter(calls.items()), {}
-    with _loky(workers) if backend == "loky" else _dask(workers, address) as (executor, size):
-
-        def submit(number):
-            for key, call in itertools.islice(waiting, number):
+    waiting, running = list(reversed(calls.items())), {}
+    with _loky(workers) if backend == "loky" else _dask(address) as (executor, size):
+        while waiting or running:
+            while waiting and len(running) < 2 * size:  # a short queue: loky trips over a long one when stopped early
+                key, call = waiting.pop()
                 running[executor.submit(_compute, blob, *call)] = key
-
-        submit(2 * size)  # a short queue: loky trips over a long one when it is stopped early
-        while running:
             for future in wait(running, return_when=FIRST_COMPLETED).done:
-                key = running.pop(future)
-                submit(1)
-                yield key, *future.result()
+                yield running.pop(future), *future.result()
 
 
 def _compute(blob, label, config, entropy) -> tuple[dict, float]:
@@ -54,9 +48,8 @@ def _compute(blob, label, config, entropy) -> tuple[dict, float]:
         if isinstance(error, Exception):
             raise ReproductionError(f"{label}: {kind.__name__}: {' '.join(str(error).split())}") from error
 
-    with contextlib.ExitStack() as stack:
+    with contextlib.ExitStack() as stack, threadpool_limits(1):
         stack.push(name_the_run)
-        stack.enter_context(threadpool_limits(1))
         if torch := sys.modules.get("torch"):
             torch.set_num_threads(1)
         start = time.perf_counter()
@@ -108,22 +101,19 @@ def _prepare_worker():
 
 
 @contextlib.contextmanager
-def _dask(workers, address):
-    """The cluster at the given address, or one of single-threaded processes on this machine."""
-    from distributed import Client, KilledWorker, LocalCluster  # slow to import, and rarely wanted
+def _dask(address):
+    """The cluster at the given address."""
+    from distributed import Client, KilledWorker  # slow to import, and rarely wanted
 
-    own = {"host": "127.0.0.1", "n_workers": workers, "threads_per_worker": 1, "dashboard_address": None}
-    with contextlib.ExitStack() as stack:
-        with contextlib.ExitStack() as deaf:  # Ctrl-C is for this process: the workers inherit that they ignore it
-            deaf.callback(signal.signal, signal.SIGINT, signal.signal(signal.SIGINT, signal.SIG_IGN))
-            where = address or stack.enter_context(LocalCluster(**own, silence_logs=50))
+    try:
+        client = Client(address, timeout=10)
+    except (OSError, ValueError) as error:
+        raise ReproductionError(f"no Dask scheduler answers at {address}: start it, or use loky") from error
+    with client:
+        threads = client.nthreads()
+        message = f"Dask at {address}: start workers with --nthreads 1, it has {set(threads.values()) or 'none'}"
+        require(set(threads.values()) == {1}, message)
         try:
-            client = stack.enter_context(Client(where, timeout=10))
-        except (OSError, ValueError) as error:
-            raise ReproductionError(f"no Dask scheduler answers at {address}: start it, or use loky") from error
-        threads = set(client.nthreads().values())
-        require(threads == {1}, f"Dask at {address}: start workers with --nthreads 1, it has {threads or 'none'}")
-        try:
-            yield client.get_executor(), len(client.nthreads())
+            yield client.get_executor(), len(threads)
         except KilledWorker as error:
             raise ReproductionError("Dask workers died again and again (out of memory, or a crash)") from error

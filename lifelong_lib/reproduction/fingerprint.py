@@ -1,25 +1,22 @@
 """What a result depends on: the experiment, the notebook functions and values it reads, the library modules it reaches.
 
 Every part has its own digest, so that a stale result can name its cause. Sources are compared without comments,
-docstrings and layout: a better sentence must not make hours of results stale.
+docstrings and layout: a better sentence must not make hours of results stale. What cannot be compared is refused.
 """
 
 import ast
 import dataclasses
 import dis
-import functools
 import hashlib
 import inspect
 import textwrap
 import types
 from collections.abc import Callable, Iterator, Mapping
+from importlib.util import resolve_name
 from pathlib import Path
-
-import numpy as np
 
 LIBRARY = "lifelong_lib"
 SOURCES = Path(__file__).resolve().parents[2]  # the folder that holds the library
-_PLAIN = (type(None), bool, int, float, complex, str, bytes, range)
 
 
 class ReproductionError(ValueError):
@@ -38,8 +35,7 @@ def fingerprint(experiment: Callable) -> dict[str, str]:
     experiment: a function made with def. Returns {part: sha256}, parts being "function f", "global x" and "module
     lifelong_lib.y". Raises ReproductionError for something whose source or value cannot be compared between two runs.
     """
-    plain = inspect.isfunction(experiment) and experiment.__name__ != "<lambda>"
-    require(plain, f"an experiment must be a function made with def, this is {experiment!r}")
+    require(inspect.isfunction(experiment), f"an experiment must be a function made with def, this is {experiment!r}")
     walk = _Walk(experiment)
     walk.text_of(experiment, experiment.__name__)
     return dict(sorted(walk.parts.items()))
@@ -61,72 +57,57 @@ class _Walk:
     """Follows an experiment through the functions, values and modules it uses, and notes a digest of each."""
 
     def __init__(self, experiment):
-        self.experiment, self.parts, self.seen = experiment, {}, {}
+        self.experiment, self.parts, self.functions = experiment, {}, {}
 
     def text_of(self, value, name: str) -> str:
         """A text that is equal for equal values in every process; functions and modules met on the way become parts."""
-        if isinstance(value, (np.ndarray, np.generic)) and not value.dtype.hasobject:
-            return f"array {value.dtype.str} {value.shape} {sha256(value.tobytes())}"
-        if isinstance(value, _PLAIN):
-            return f"{type(value).__name__} {value!r}"
+        kind = type(value)
+        if value is None or isinstance(value, (bool, int, float, str)):
+            return f"{kind.__name__} {value!r}"
         if isinstance(value, (list, tuple)):
-            return f"{type(value).__name__} {[self.text_of(item, name) for item in value]}"
-        if isinstance(value, (set, frozenset)):
-            return f"set {sorted(self.text_of(item, name) for item in value)}"
-        if isinstance(value, Mapping):
+            return f"{kind.__name__} {[self.text_of(item, name) for item in value]}"
+        if isinstance(value, dict):
             return f"dict {[(self.text_of(key, name), self.text_of(item, name)) for key, item in value.items()]}"
-        if isinstance(value, functools.partial):
-            return self.text_of((value.func, value.args, value.keywords), name)
-        if isinstance(value, types.ModuleType):
-            if hasattr(value, "__path__") and _file_of(value.__name__):
-                raise self._refusal(name, "a whole package", f"import a module: from {value.__name__} import ...")
+        if inspect.ismodule(value):
             self._module(value.__name__)
             return f"module {value.__name__}"
-        if hasattr(value, "__wrapped__") and not inspect.isfunction(value):  # functools.cache
-            return self.text_of(value.__wrapped__, name)
-        if callable(value) and hasattr(value, "__qualname__"):
+        of_no_object = isinstance(getattr(value, "__self__", None), (types.NoneType, types.ModuleType))
+        if callable(value) and hasattr(value, "__qualname__") and of_no_object:
             return self._callable_text(value, name)
-        if dataclasses.is_dataclass(value) and not type(value).__module__.startswith(f"{LIBRARY}.reproduction"):
+        if dataclasses.is_dataclass(value) and not kind.__module__.startswith(f"{LIBRARY}.reproduction"):
             fields = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
-            return self.text_of((type(value), fields), name)
-        raise self._refusal(name, f"a {type(value).__name__}", "put what it needs into the configs, or make it inside")
+            return self.text_of((kind, fields), name)
+        self._refuse(name, f"a {kind.__name__}", "put what it needs into the configs, or make it inside")
 
-    def _refusal(self, name, what, mend):
-        return ReproductionError(
-            f"experiment '{self.experiment.__name__}' reads '{name}', {what}, whose changes cannot be followed: {mend}"
-        )
+    def _refuse(self, name, what, mend):
+        reads = f"experiment '{self.experiment.__name__}' reads '{name}', {what}"
+        raise ReproductionError(f"{reads}, whose changes cannot be followed: {mend}")
 
     def _callable_text(self, value, name):
-        module = getattr(value, "__module__", None) or ""
-        if _file_of(module):
+        module = getattr(value, "__module__", None) or "builtins"
+        if _source_of(module):
             self._module(module)
-        elif module == self.experiment.__module__ and inspect.isfunction(value):
-            return self._function(value)
-        elif module == self.experiment.__module__ and inspect.isclass(value):
-            raise self._refusal(name, "a class of the notebook", "move it into the library")
+        elif module == self.experiment.__module__:
+            return self._function(value, name)
         return f"{module}.{value.__qualname__}"
 
-    def _function(self, function) -> str:
+    def _function(self, function, name) -> str:
         """Note a notebook function's source, and everything that it reads when it runs."""
-        if id(function) in self.seen:
-            return self.seen[id(function)]
+        if not inspect.isfunction(function):
+            self._refuse(name, "a wrapped function or class of the notebook", "move it into the library")
+        if "<" in function.__code__.co_qualname:  # a lambda, or made inside another function (also by a decorator)
+            self._refuse(name, "a function not made with def at the top of a cell", "define it there")
         label = f"function {function.__qualname__}"
-        while label in self.parts:  # another function of the same name
-            label += "'"
-        self.seen[id(function)] = label
-        try:
-            text, tree = _normalised(textwrap.dedent(inspect.getsource(function.__code__)))
-        except (OSError, SyntaxError):
-            mend = "define it with def in a cell of its own"
-            raise self._refusal(function.__qualname__, "a function without readable source", mend) from None
-        self.parts[label] = ""  # its place, so that the names below cannot take it
-        for module in _imported(tree, ""):
-            self._module(module)
-        hidden = (function.__defaults__, function.__kwdefaults__, _closure(function))
-        self.parts[label] = sha256(text + self.text_of(hidden, function.__qualname__))
-        for name in sorted(_globals_read(function.__code__)):
-            if name in function.__globals__:
-                self._global(name, function.__globals__[name])
+        if self.functions.setdefault(label, function) is not function:
+            self._refuse(name, f"a second {label}", "give it another name")
+        if label not in self.parts:
+            text, tree = _normalised(textwrap.dedent(inspect.getsource(function)))
+            hidden = (function.__defaults__, function.__kwdefaults__, {})  # {}: as in the digests that are stored
+            self.parts[label] = sha256(text + self.text_of(hidden, function.__qualname__))
+            for module in _imported(tree, ""):
+                self._module(module)
+            for read in sorted(_globals_read(function.__code__) & function.__globals__.keys()):
+                self._global(read, function.__globals__[read])
         return label
 
     def _global(self, name, value):
@@ -137,12 +118,14 @@ class _Walk:
 
     def _module(self, name: str):
         """Note a library module and, through its import statements, all library modules that it reaches."""
-        path = _file_of(name)
+        path = _source_of(name)
         if path is None or f"module {name}" in self.parts:
             return
+        if path.is_dir():
+            self._refuse(name, "a whole package", f"import a module: from {name} import ...")
         text, tree = _normalised(path.read_text(encoding="utf-8"))
         self.parts[f"module {name}"] = sha256(text)
-        for module in _imported(tree, name if path.name == "__init__.py" else name.rpartition(".")[0]):
+        for module in _imported(tree, name.rpartition(".")[0]):
             self._module(module)
 
 
@@ -162,28 +145,19 @@ def _imported(tree: ast.AST, package: str) -> Iterator[str]:
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            above = package.split(".")[: len(package.split(".")) + 1 - node.level] if node.level else []
-            base = ".".join([*above, *([node.module] if node.module else [])])
-            for alias in node.names:
-                inner = f"{base}.{alias.name}"
-                yield inner if _file_of(inner) else base
+            base = resolve_name("." * node.level + (node.module or ""), package)
+            inner = [f"{base}.{alias.name}" for alias in node.names]
+            yield from (name if _source_of(name) else base for name in inner)
 
 
-def _file_of(module: str) -> Path | None:
-    """Source file of a library module; None for a module that is not the library's."""
-    if module.partition(".")[0] != LIBRARY:
-        return None
+def _source_of(module: str) -> Path | None:
+    """Source file of a library module, folder of a library package, None for everything else."""
     path = SOURCES.joinpath(*module.split("."))
-    return next((file for file in (path.with_suffix(".py"), path / "__init__.py") if file.is_file()), None)
+    found = [file for file in (path.with_suffix(".py"), path) if file.exists()]
+    return found[0] if found and module.partition(".")[0] == LIBRARY else None
 
 
 def _globals_read(code: types.CodeType) -> set[str]:
     """Names that a function, or a function defined inside it, looks up in its module."""
     names = {step.argval for step in dis.get_instructions(code) if step.opname in ("LOAD_GLOBAL", "LOAD_NAME")}
     return names.union(*(_globals_read(inner) for inner in code.co_consts if isinstance(inner, types.CodeType)))
-
-
-def _closure(function) -> dict:
-    """Values of the variables that a function defined inside another one took along; unset ones are left out."""
-    cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
-    return {name: cell.cell_contents for name, cell in cells if cell != types.CellType()}

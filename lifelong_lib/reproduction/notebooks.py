@@ -4,29 +4,24 @@ papermill guesses types from text and only warns about a name it does not know. 
 notebook's own parameters cell before anything runs, and is handed over as a Python value.
 """
 
-from __future__ import annotations
-
 import ast
-import contextlib
 import difflib
-import io
 import json
 import os
 import re
-import tokenize
-from collections.abc import Iterator
 from pathlib import Path
+from unittest.mock import patch
 
 import nbformat
 import papermill
-from nbclient.exceptions import CellTimeoutError, DeadKernelError
+from jupyter_client.kernelspec import NoSuchKernel
 from papermill.exceptions import PapermillExecutionError
 
-from .fingerprint import SOURCES
-from .runs import ROOT, ReproductionError
+from .fingerprint import SOURCES, ReproductionError, require
+from .runs import ROOT
 
 COMMON = ("profile", "seeds", "workers", "output_dir")
-MAKERS = ("save_figure", "save_table", "check_claim")
+ENDINGS = {"F": ("csv", "png", "svg"), "T": ("csv", "md")}
 KINDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text", list: "a list"}
 
 
@@ -39,32 +34,30 @@ def find_notebooks(folder: Path | None = None) -> dict[int, Path]:
 def read_notebook(path: Path) -> nbformat.NotebookNode:
     """The notebook at `path`; a file that is no notebook raises ReproductionError."""
     try:
-        return nbformat.read(path, as_version=4)
-    except (ValueError, nbformat.ValidationError, AttributeError) as error:
+        notebook = nbformat.read(path, as_version=4)
+        nbformat.validate(notebook)  # reading one only logs what is wrong
+        return notebook
+    except (ValueError, nbformat.ValidationError, AttributeError, TypeError) as error:
         raise ReproductionError(f"{path.name} is not a readable notebook: {str(error).splitlines()[0]}") from error
 
 
-def read_parameters(path: Path) -> dict[str, tuple[object, str]]:
-    """{name: (default, comment)} of the one cell tagged `parameters`, in the cell's order.
+def read_parameters(path: Path) -> dict[str, object]:
+    """{name: default} of the one cell tagged `parameters`, in the cell's order.
 
     Raises ReproductionError when there is no such cell, more than one, or anything in it but `name = literal`:
     papermill sets new values *after* the cell, so whatever it computed from a default would keep the default.
     """
     cells = [cell for cell in read_notebook(path).cells if "parameters" in cell.metadata.get("tags", [])]
-    if len(cells) != 1:
-        raise ReproductionError(f"{path.name} has {len(cells)} cells tagged 'parameters'; it needs exactly one")
-    source = cells[0].source
-    tokens = tokenize.generate_tokens(io.StringIO(source).readline)
-    comments = {token.start[0]: token.string.lstrip("# ") for token in tokens if token.type == tokenize.COMMENT}
-    parameters = {}
-    for statement in ast.parse(source).body:
-        text = ast.get_source_segment(source, statement)
-        try:
+    require(len(cells) == 1, f"{path.name} has {len(cells)} cells tagged 'parameters'; it needs exactly one")
+    parameters, text = {}, ""
+    try:
+        for statement in ast.parse(cells[0].source, "its text").body:
+            text = f"`{ast.unparse(statement)}`"
             (target,) = statement.targets
-            parameters[target.id] = (ast.literal_eval(statement.value), comments.get(statement.end_lineno, ""))
-        except (AttributeError, ValueError) as error:
-            message = f"the parameters cell of {path.name} may hold only `name = literal`, not `{text}`"
-            raise ReproductionError(message) from error
+            parameters[target.id] = ast.literal_eval(statement.value)
+    except (SyntaxError, AttributeError, ValueError, TypeError) as error:
+        message = f"the parameters cell of {path.name} may hold only `name = literal`, not {text or error}"
+        raise ReproductionError(message) from error
     return parameters
 
 
@@ -73,44 +66,30 @@ def typed_parameters(path: Path, given: dict[str, object]) -> dict[str, object]:
 
     Unknown names (with the nearest known one) and values of another type than the default raise ReproductionError.
     """
-    known = read_parameters(path)
-    typed = {name: default for name, (default, _) in known.items()}
+    typed = read_parameters(path)
     for name, value in given.items():
-        if name not in known:
-            near = difflib.get_close_matches(name, known, n=1)
-            hint = f"did you mean '{near[0]}'?" if near else f"it has {', '.join(known)}"
-            raise ReproductionError(f"{path.name} has no parameter '{name}'; {hint}")
+        near = difflib.get_close_matches(name, typed, n=1)
+        hint = f"did you mean '{near[0]}'?" if near else f"it has {', '.join(typed)}"
+        require(name in typed, f"{path.name} has no parameter '{name}'; {hint}")
         try:
-            typed[name] = _convert(value, known[name][0])
+            typed[name] = _convert(value, typed[name])
         except (ValueError, SyntaxError, TypeError) as error:
-            wanted = KINDS.get(type(known[name][0]), "a literal")
+            wanted = KINDS.get(type(typed[name]), "a literal")
             raise ReproductionError(f"parameter '{name}' of {path.name} wants {wanted}, not '{value}'") from error
     return typed
 
 
 def _convert(value: object, default: object) -> object:
+    """The value, or what its text means, if it has the type of the default (or of its items); else ValueError."""
     kind = type(default)
-    if isinstance(default, str):
-        return _of_type(value, str)
-    if not isinstance(value, str):
-        literal = value
-    elif isinstance(default, bool):
-        literal = {"true": True, "false": False}.get(value.strip().lower())
-    elif isinstance(default, list) and not value.lstrip().startswith("["):
-        literal = [part.strip() for part in value.split(",")]
-    else:
-        literal = ast.literal_eval(value.strip())
-    if isinstance(default, float) and type(literal) is int:
-        return float(literal)
-    if isinstance(default, list) and default:
-        return [_convert(item, default[0]) for item in _of_type(literal, list)]
-    return literal if default is None else _of_type(literal, kind)
-
-
-def _of_type(value: object, kind: type) -> object:
-    if type(value) is not kind:   # not isinstance: True is no whole number here
-        raise TypeError(f"{value!r} is not {kind.__name__}")
-    return value
+    if kind is list and isinstance(value, str) and not value.startswith("["):
+        value = [part.strip() for part in value.split(",")]
+    if kind is not str and isinstance(value, str):
+        value = ast.literal_eval(value.title() if kind is bool else value)
+    if kind is float and type(value) is int:
+        value = float(value)
+    require(type(value) is kind, "another type")  # not isinstance: True is no whole number here
+    return [_convert(item, default[0]) for item in value] if kind is list and default else value
 
 
 def made_ids(path: Path) -> dict[str, list[str]]:
@@ -131,20 +110,18 @@ def made_ids(path: Path) -> dict[str, list[str]]:
 
 def cell_ids(source: str) -> list[str]:
     """The ids that one cell's source makes."""
-    try:
-        tree = ast.parse(source)
-    except SyntaxError:   # a line magic: such a cell makes no result
-        return []
-    calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call) and len(node.args) > 1]
-    calls.sort(key=lambda call: (call.lineno, call.col_offset))
-    named = [(getattr(call.func, "id", getattr(call.func, "attr", "")), call.args[1]) for call in calls]
-    return [second.value for name, second in named if name in MAKERS and isinstance(second, ast.Constant)]
+    return _named_in_calls("save_figure|save_table|check_claim", source)
 
 
 def grid_names(path: Path) -> list[str]:
     """The names that the notebook's code gives to its grids, as in `run_grid(chapter, "slopes", ...)`."""
-    cells = read_notebook(path).cells
-    return [name for cell in cells for name in re.findall(r'run_grid\(\s*chapter,\s*"([^"]+)"', cell.source)]
+    code = [cell.source for cell in read_notebook(path).cells if cell.cell_type == "code"]
+    return [name for source in code for name in _named_in_calls("run_grid", source)]
+
+
+def _named_in_calls(functions: str, source: str) -> list[str]:
+    """The literal second arguments of calls, outside comments; the source need not be Python (a line magic)."""
+    return re.findall(rf"""^[^#\n]*\b(?:{functions})\(\s*\w+,\s*["']([^"']+)["']""", source, re.MULTILINE)
 
 
 def missing_results(path: Path, folder: Path, since: float = 0.0) -> list[str]:
@@ -152,47 +129,39 @@ def missing_results(path: Path, folder: Path, since: float = 0.0) -> list[str]:
     def fresh(name: str) -> bool:   # a second's grace: a file system's clock may lag behind ours
         return (folder / name).exists() and (folder / name).stat().st_mtime > since - 1
 
-    claims = {row["id"] for row in json.loads((folder / "claims.json").read_text())} if fresh("claims.json") else set()
-    ending = {"F": ("csv", "png", "svg"), "T": ("csv", "md")}
-    return [name for name in made_ids(path) if not (
-        name in claims if name[0] == "C" else all(fresh(f"{name}.{end}") for end in ending.get(name[0], ())))]
+    found = {row["id"] for row in json.loads((folder / "claims.json").read_text())} if fresh("claims.json") else set()
+    made = made_ids(path)
+    found |= {name for name in made if name[0] in ENDINGS and all(fresh(f"{name}.{end}") for end in ENDINGS[name[0]])}
+    return [name for name in made if name not in found]
 
 
-def execute(path: Path, parameters: dict[str, object], folder: Path, options: dict | None = None) -> Path:
-    """Runs the notebook with checked `parameters`; returns the executed copy in `folder`/notebooks.
+def execute(path: Path, parameters: dict[str, object], folder: Path, options: dict | None = None) -> None:
+    """Runs the notebook with checked `parameters`; the executed copy goes to `folder`/notebooks.
 
     `options` reach run_grid through the environment variable LIFELONG_OPTIONS. With options["plan"], nothing is
-    computed and cells may fail. Otherwise a failing cell raises ReproductionError with notebook, cell, error and copy.
+    computed, and cells may fail from the first missing run on. Otherwise a failing cell raises ReproductionError with
+    notebook, cell, error and copy.
     """
     options = options or {}
-    defaults = typed_parameters(path, {})
+    defaults = read_parameters(path)
     changed = {name: value for name, value in typed_parameters(path, parameters).items() if value != defaults[name]}
     copy = folder / "notebooks" / path.name
     copy.parent.mkdir(parents=True, exist_ok=True)
-    with _environment(LIFELONG_OPTIONS=json.dumps(options)):
-        try:
+    kernel = {"LIFELONG_OPTIONS": json.dumps(options), "PYTHONPATH": str(SOURCES), "PYTHONHASHSEED": "0"}
+    try:
+        with patch.dict(os.environ, kernel, PYDEVD_DISABLE_FILE_VALIDATION="1"):  # the kernel starts with a copy
             papermill.execute_notebook(
                 str(path), str(copy), changed, kernel_name="python3", language="python", cwd=str(ROOT),
                 progress_bar=False, allow_errors="plan" in options, extra_arguments=["--log-level=CRITICAL"],
             )
-        except PapermillExecutionError as error:
-            if "plan" not in options:
-                cause = (error.evalue.strip().splitlines() or ["no message"])[0]
-                place = f"{path.name}, cell [{error.exec_count}]"
-                raise ReproductionError(f"{place}: {error.ename}: {cause} (the run so far: {copy})") from error
-        except (DeadKernelError, CellTimeoutError) as error:
-            message = f"{path.name}: the kernel died, perhaps for want of memory (the run so far: {copy}); run again"
-            raise ReproductionError(message) from error
-    return copy
-
-
-@contextlib.contextmanager
-def _environment(**variables: str) -> Iterator[None]:
-    """Environment variables for the kernel, which starts with a copy of ours."""
-    before = dict(os.environ)
-    os.environ.update(variables, PYTHONPATH=str(SOURCES), PYTHONHASHSEED="0", PYDEVD_DISABLE_FILE_VALIDATION="1")
-    try:
-        yield
-    finally:
-        os.environ.clear()
-        os.environ.update(before)
+    except PapermillExecutionError as error:
+        errors = [(cell.execution_count, output) for cell in read_notebook(copy).cells
+                  for output in cell.get("outputs", []) if output.output_type == "error"]  # fmt: skip
+        count, first = [*errors, (error.exec_count, error)][0]  # papermill names the last
+        if "plan" not in options or first.ename != "NotStored":
+            cause = (first.evalue.strip().splitlines() or ["no message"])[0]
+            place = f"{path.name}, cell [{count}]"
+            raise ReproductionError(f"{place}: {first.ename}: {cause} (the run so far: {copy})") from error
+    except (RuntimeError, NoSuchKernel) as error:  # at its start or later
+        mend = "give it more memory, or install ipykernel, and run again"
+        raise ReproductionError(f"{path.name}: the kernel died ({error}; the run so far: {copy}): {mend}") from error

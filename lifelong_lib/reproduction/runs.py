@@ -7,17 +7,17 @@ own SeedSequence on one thread, so where and in which order runs are computed ca
 
 import contextlib
 import errno
-import functools
+import itertools
 import json
 import math
 import os
+import platform
 import re
 import subprocess
 import sys
-import time
 import zipfile
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib import metadata
 from io import BytesIO
@@ -32,7 +32,6 @@ from lifelong_lib.reproduction.fingerprint import ReproductionError, changes, fi
 ROOT = Path(os.environ.get("LIFELONG_ROOT") or Path(__file__).resolve().parents[2])
 PROFILES = ("smoke", "quick", "paper")
 PACKAGES = ("numpy", "scipy", "scikit-learn", "torch", "gymnasium", "pybullet", "libsumo")
-OPTIONS = {"backend": str, "address": str, "fresh": bool, "plan": str, "audit": int}
 
 
 class NotStored(ReproductionError):
@@ -41,9 +40,10 @@ class NotStored(ReproductionError):
 
 @dataclass(frozen=True)
 class Chapter:
-    """A notebook's parameters. seeds = 0 stands for the profile's own number, which the notebook gives to run_grid.
+    """A notebook's parameters.
 
-    Commands pass backend, address, fresh, plan (a file) and audit (a number) as JSON in the variable LIFELONG_OPTIONS.
+    Commands pass their checked options backend, address, fresh, plan (a file) and audit (a number) as JSON in the
+    variable LIFELONG_OPTIONS; a notebook that was opened by hand has none.
     """
 
     number: int
@@ -51,28 +51,15 @@ class Chapter:
     seeds: int
     workers: int = 2
     output_dir: str = ""
-    grids: dict = field(default_factory=dict, init=False, repr=False, compare=False)  # name -> what run_grid did
+    options: dict = field(default_factory=lambda: json.loads(os.environ.get("LIFELONG_OPTIONS", "{}")), init=False)
+    grids: dict = field(default_factory=dict, init=False)  # name -> what run_grid did
 
     def __post_init__(self):
         require(_whole(self.number, 1) and self.number <= 8, f"chapter {self.number!r} is not one of 1 to 8")
         require(self.profile in PROFILES, f"profile {self.profile!r} is not one of {', '.join(PROFILES)}")
-        require(_whole(self.seeds), f"seeds must be a whole number, 0 or more, not {self.seeds!r}")
-        require(_whole(self.workers, 1), f"workers must be a whole number, 1 or more, not {self.workers!r}")
+        for name, value in (("seeds", self.seeds), ("workers", self.workers)):
+            require(_whole(value, 1), f"{name} must be a whole number, 1 or more, not {value!r}")
         require(isinstance(self.output_dir, str), f"output_dir must be a text, not {self.output_dir!r}")
-        require(self.options.get("backend", "loky") in ("loky", "dask"), "the backend must be loky or dask")
-        require(self.options.get("audit", 1) > 0, "audit needs the number of runs to recompute, 1 or more")
-
-    @functools.cached_property
-    def options(self) -> dict:
-        """The command's options; empty in a notebook that was opened by hand."""
-        text = os.environ.get("LIFELONG_OPTIONS") or "{}"
-        try:
-            given = {key: value for key, value in json.loads(text).items() if value is not None}
-        except (ValueError, AttributeError):
-            raise ReproductionError(f"LIFELONG_OPTIONS must hold a JSON object, not {text!r}") from None
-        for key, value in given.items():
-            require(type(value) is OPTIONS.get(key), f"LIFELONG_OPTIONS: unknown or mistyped {key}={value!r}")
-        return given
 
     @property
     def folder(self) -> Path:
@@ -91,39 +78,26 @@ class Chapter:
 
 @dataclass(frozen=True)
 class Run:
-    """One run: configuration, seed, values (name -> array, of shape () for a number), wall time [s]."""
+    """One run: configuration, seed, values (name -> array, of shape () for a number), wall time [s], fingerprint."""
 
     config: dict
     seed: int
     values: dict
     seconds: float
+    made_by: dict
 
 
-class Results(Sequence):
+class Results(tuple):
     """Runs in the order of the configurations, then of the seeds."""
 
-    def __init__(self, runs):
-        self._runs = tuple(runs)
-
-    def __len__(self):
-        return len(self._runs)
-
-    def __getitem__(self, index):
-        return self._runs[index]
-
-    def where(self, **config) -> "Results":
-        """The runs whose configuration has these entries; ReproductionError when there is none."""
-        found = [run for run in self if all(key in run.config and run.config[key] == config[key] for key in config)]
-        known = {key: list(dict.fromkeys(run.config.get(key) for run in self)) for key in config}
-        require(found, f"no run has {config}: the runs have {known}")
-        return Results(found)
-
     def stack(self, key: str, **config) -> np.ndarray:
-        """One result of one configuration over all seeds, (n_seeds, ...), seeds ascending.
+        """One result of the configuration with these entries over all seeds, (n_seeds, ...), seeds ascending.
 
-        Raises ReproductionError when several configurations fit, the key is unknown, or shapes differ between seeds.
+        Raises ReproductionError unless exactly one configuration fits, and has the key in equal shapes at all seeds.
         """
-        runs = sorted(self.where(**config), key=lambda run: run.seed)
+        runs = sorted((run for run in self if config.items() <= run.config.items()), key=lambda run: run.seed)
+        known = {entry: list(dict.fromkeys(run.config.get(entry) for run in self)) for entry in config}
+        require(runs, f"no run has {config}: the runs have {known}")
         fitting = list(dict.fromkeys(_canonical(run.config) for run in runs))
         require(len(fitting) == 1, f"{len(fitting)} configurations fit {config}, e.g. {' and '.join(fitting[:2])}")
         for run in runs:
@@ -145,27 +119,23 @@ def run_grid(chapter: Chapter, name: str, experiment: Callable, configs, seeds=N
     require(not isinstance(makes, str), f"makes must be a list of ids, not the text {makes!r}")
     options, tasks = chapter.options, _tasks(chapter, name, configs, chapter.seeds if seeds is None else seeds)
     parts = fingerprint(experiment)
-    stored = {path: found for path in tasks if (found := _read(path, *tasks[path], keep="plan" in options))}
-    runs = {path: run for path, (run, _) in stored.items()}
-    stale = {path: cause for path, (_, made_by) in stored.items() if (cause := changes(made_by, parts))}
-    redone = stale if chapter.profile != "paper" or options.get("fresh") else {}
-    todo = {path: task for path, task in tasks.items() if path not in runs or path in redone}
-    causes = Counter(cause for found in stale.values() for cause in found)
+    runs = {path: run for path, task in tasks.items() if (run := _read(path, *task, keep="plan" in options))}
+    stale = {path: causes for path, run in runs.items() if (causes := changes(run.made_by, parts))}
+    kept = len(stale) if chapter.profile == "paper" and not options.get("fresh") else 0
+    todo = {path: task for path, task in tasks.items() if path not in runs or path in stale and not kept}
+    causes = Counter(itertools.chain(*stale.values()))
     grid = {"chapter": chapter.number, "name": name, "makes": list(makes), "wanted": len(tasks), "causes": causes}
     if "plan" in options:
         _plan(chapter, grid, runs, stale, todo)
     elif "audit" in options:
         _audit(chapter, name, experiment, tasks, runs, stale)
     else:
-        start = time.perf_counter()
         runs |= _compute_and_store(chapter, name, experiment, todo, parts)
-        kept = len(stale) - len(redone)
-        grid |= {"computed": len(todo), "read": len(tasks) - len(todo), "stale": kept, "workers": chapter.workers}
-        each = float(np.mean([run.seconds for run in runs.values()]))
-        grid |= {"seconds": time.perf_counter() - start, "seconds_per_run": each}
         if kept:
             cause = f"made by another state of the code ({', '.join(causes)})"
             _warn(f"{kept} of {len(tasks)} runs of '{name}' were {cause}: kept and counted, --fresh recomputes them")
+        grid |= {"computed": len(todo), "read": len(tasks) - len(todo), "stale": kept}
+        grid["seconds_per_run"] = float(np.mean([run.seconds for run in runs.values()]))
         chapter.grids[name] = grid
         write_atomically(chapter.folder / "runs" / f"{chapter.results.name}-{name}.json", _json(grid))
     return Results(runs[path] for path in tasks)
@@ -176,7 +146,7 @@ def run_card(chapter: Chapter) -> str:
     git, commit = ["git", "-C", str(ROOT), "describe", "--always", "--dirty"], "unknown"
     with contextlib.suppress(OSError, subprocess.CalledProcessError):
         commit = subprocess.run(git, capture_output=True, text=True, check=True).stdout.strip()
-    card = {"profile": chapter.profile, "seeds": chapter.seeds or "as the profile says", "workers": chapter.workers}
+    card = {"profile": chapter.profile, "seeds": chapter.seeds, "workers": chapter.workers}
     card |= {"backend": chapter.options.get("backend", "loky"), "commit": commit}
     card["versions"] = ", ".join(f"{package} {version}" for package, version in _versions().items())
     if stale := sum(grid["stale"] for grid in chapter.grids.values()):
@@ -201,8 +171,8 @@ def write_atomically(path: Path, data: bytes | str) -> None:
 
 
 def _append(path: Path, rows: list[dict]):
-    before = path.read_text(encoding="utf-8") if path.exists() else ""
-    write_atomically(path, before + "".join(json.dumps(row, sort_keys=True) + "\n" for row in rows))
+    with path.open("a", encoding="utf-8") as file:
+        file.writelines(json.dumps(row, sort_keys=True) + "\n" for row in rows)
 
 
 def _json(value) -> str:
@@ -213,16 +183,16 @@ def _warn(message: str):
     print(f"warning: {message}", file=sys.stderr)  # warnings.warn would put this machine's paths into the notebook
 
 
-def _whole(value, least: int = 0) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and value >= least
-
-
 def _versions() -> dict[str, str]:
-    found = {"python": sys.version.split()[0]}
+    found = {"python": platform.python_version()}
     for package in PACKAGES:
-        with contextlib.suppress(metadata.PackageNotFoundError):
+        with contextlib.suppress(metadata.PackageNotFoundError):  # of a simulator that another chapter needs
             found[package] = metadata.version(package)
     return found
+
+
+def _whole(value, least: int = 0) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= least
 
 
 def _tasks(chapter, name, configs, seeds) -> dict[Path, tuple[dict, int]]:
@@ -235,9 +205,8 @@ def _tasks(chapter, name, configs, seeds) -> dict[Path, tuple[dict, int]]:
     names = Counter(_file_name(config).lower() for config in configs)  # some file systems ignore the case
     twice = [text for text, number in names.items() if number > 1]
     require(not twice, f"grid '{name}' has a configuration twice (or two that differ in case only): {twice}")
-    folder = chapter.results / name
-    pairs = [(config, seed) for config in configs for seed in sorted(seeds)]
-    return {folder / f"{_file_name(config)}-s{seed}.npz": (dict(config), seed) for config, seed in pairs}
+    return {chapter.results / name / f"{_file_name(config)}-s{seed}.npz": (dict(config), seed)
+            for config in configs for seed in sorted(seeds)}  # fmt: skip
 
 
 def _canonical(config) -> str:
@@ -260,8 +229,8 @@ def _file_name(config) -> str:
     return name if exact and len(name) <= 120 else f"{name[:100]}~{sha256(text)[:16]}"
 
 
-def _read(path, config, seed, keep) -> tuple[Run, dict] | None:
-    """A stored run and the fingerprint it was made by. A damaged one is named and, unless keep, set aside."""
+def _read(path, config, seed, keep) -> Run | None:
+    """A stored run. A damaged one is named and, unless keep, set aside."""
     record_path = path.with_suffix(".json")
     if not record_path.exists():
         return None
@@ -270,7 +239,7 @@ def _read(path, config, seed, keep) -> tuple[Run, dict] | None:
         require(sha256(data) == record["sha256"], "its bytes are not those that were written")
         require((_canonical(record["config"]), record["seed"]) == (_canonical(config), seed), "it holds another run")
         with np.load(BytesIO(data), allow_pickle=False) as arrays:
-            return Run(config, seed, dict(arrays), float(record["seconds"])), dict(record["fingerprint"])
+            return Run(config, seed, dict(arrays), float(record["seconds"]), dict(record["fingerprint"]))
     except (ValueError, KeyError, TypeError, FileNotFoundError) as error:
         _warn(f"stored run {path} is damaged and not used: {error}")
     for file in (path, record_path):
@@ -300,7 +269,7 @@ def _compute_and_store(chapter, name, experiment, tasks, parts) -> dict[Path, Ru
                 path.with_suffix(".json").unlink(missing_ok=True)
                 write_atomically(path, data)
                 write_atomically(path.with_suffix(".json"), _json(record))
-                done[path] = Run(config, seed, values, seconds)
+                done[path] = Run(config, seed, values, seconds, parts)
                 bar.update()
     except KeyboardInterrupt:
         message = f"interrupted: {len(done)} of {len(tasks)} runs of '{name}' are stored, run again for the rest"
@@ -312,17 +281,17 @@ def _bar(title, tasks):
     """Progress with the time left, on this process's own standard error: a notebook must not keep it in its outputs."""
     own = getattr(sys.stderr, "_original_stdstream_copy", None)  # where ipykernel keeps it
     stream = sys.__stderr__ if own is None else open(own, "w", closefd=False)
-    pace = {"ascii": False, "mininterval": 0.5} if stream.isatty() else {"ascii": True, "mininterval": 15}
-    return tqdm(total=len(tasks), desc=title, unit="run", file=stream, disable=not tasks, **pace)
+    pace = 0.5 if stream.isatty() else 15  # seconds
+    return tqdm(total=len(tasks), desc=title, unit="run", file=stream, disable=not tasks, mininterval=pace)
 
 
 def _plan(chapter, grid, runs, stale, todo):
     """Append what this grid would compute, and the seconds it would take; NotStored if that is anything."""
-    costs = ROOT / "figures" / "reference" / chapter.profile / "unit_costs.json"
-    each = np.mean([run.seconds for run in runs.values()]) if runs else None
-    if each is None and costs.exists():
-        each = json.loads(costs.read_text(encoding="utf-8")).get(f"{chapter.results.name}/{grid['name']}")
-    seconds = 0.0 if not todo else None if each is None else float(each) * math.ceil(len(todo) / chapter.workers)
+    path = ROOT / "figures" / "reference" / chapter.profile / "unit_costs.json"
+    costs = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    name = f"{chapter.results.name}/{grid['name']}"
+    each = np.mean([run.seconds for run in runs.values()]) if runs else costs.get(name)
+    seconds = None if each is None else float(each) * math.ceil(len(todo) / chapter.workers)
     grid |= {"stored": len(runs) - len(stale), "stale": len(stale), "missing": grid["wanted"] - len(runs)}
     _append(Path(chapter.options["plan"]), [grid | {"seconds": seconds}])
     if todo:
@@ -337,12 +306,12 @@ def _audit(chapter, name, experiment, tasks, runs, stale):
     if missing := len(tasks) - len(runs):
         raise NotStored(f"{missing} of {len(tasks)} runs of '{name}' are not stored: run the chapter before its audit")
     files, number = sorted(chapter.results.glob("*/*.npz")), chapter.options["audit"]  # the same for every grid
-    drawn, rows = {files[i] for i in np.random.default_rng(number).permutation(len(files))[:number]}, []
+    drawn, rows = set(np.random.default_rng(number).permutation(files)[:number]), []
     share = {path: task for path, task in tasks.items() if path in drawn}
     for path, values, _ in _completed(chapter, name, experiment, share):
         old, new = ({key: _npz({"": array}) for key, array in found.items()} for found in (runs[path].values, values))
-        measured = {key for key in old if key.startswith("seconds")}  # a time never comes out the same
-        differs = sorted(key for key in (old.keys() | new.keys()) - measured if old.get(key) != new.get(key))
+        differs = [key for key in sorted(old.keys() | new.keys()) if old.get(key) != new.get(key)]
+        differs = [key for key in differs if not key.startswith("seconds")]
         row = {"chapter": chapter.number, "name": name, "run": path.stem, "same": not differs, "differs": differs}
         rows.append(row | {"stale": path in stale})
     _append(chapter.folder / "audit.jsonl", sorted(rows, key=lambda row: row["run"]))
