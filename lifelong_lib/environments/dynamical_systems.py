@@ -226,7 +226,7 @@ SPRING_MASS_DAMPER = System(
     ),
     state=(Quantity("position", "m"), Quantity("velocity", "m/s")),
     actions=(Quantity("force", "N"),),
-    step_seconds=0.2,
+    step_seconds=0.15,
     dynamics=_linear(_spring_mass_damper),
     constrain=_limits({0: 20.0, 1: 20.0}, ()),
     draw_start=lambda rng, size: rng.random((size, 2)),
@@ -271,10 +271,10 @@ BICYCLE = System(
 QUADROTOR = System(
     name="quadrotor",
     parameters=(
-        Quantity("inertia about x", "kg m^2", 1e-3, 2e-2),
-        Quantity("inertia about y", "kg m^2", 1e-3, 2e-2),
-        Quantity("inertia about z", "kg m^2", 2e-3, 4e-2),
-        Quantity("arm length", "m", 0.15, 0.35),
+        Quantity("inertia about x", "kg m^2", 1.5e-3, 2e-2),
+        Quantity("inertia about y", "kg m^2", 1.5e-3, 2e-2),
+        Quantity("inertia about z", "kg m^2", 3e-3, 4e-2),
+        Quantity("arm length", "m", 0.2, 0.3),
     ),
     state=tuple(Quantity(name, unit) for unit in ("rad", "rad/s") for name in ("roll", "pitch", "yaw")),
     actions=(Quantity("roll force", "N"), Quantity("pitch force", "N"), Quantity("yaw torque", "N m")),
