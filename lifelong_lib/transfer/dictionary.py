@@ -4,41 +4,46 @@ A task's vector a (its policy, or its descriptor) is coded as a = L s with few n
 task says how much each direction of a - L s matters: a matrix (d, d), or a number w that stands for w I.
 """
 
-import warnings
-
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
-from sklearn.exceptions import ConvergenceWarning
-from sklearn.linear_model import lars_path_gram, lasso_path
+from scipy.linalg.lapack import dposv
 
 DEAD_NORM = 1e-8  # a column shorter than this carries no knowledge and is drawn anew
-
-
-def symmetric_root(weight: np.ndarray) -> np.ndarray:
-    """Return R with R^T R = weight (d, d); eigenvalues below zero, which only rounding makes, count as zero."""
-    values, vectors = np.linalg.eigh(weight)
-    return np.sqrt(np.clip(values, 0, None))[:, None] * vectors.T
+CODING_ROUNDS = 300  # a few suffice; only columns that are parallel up to rounding would need more
 
 
 def sparse_code(target: np.ndarray, basis: np.ndarray, weight, sparsity: float) -> np.ndarray:
     """Return s (k,) = argmin ||target - basis s||^2_weight + sparsity ||s||_1 (equation 2.12).
 
-    ``target`` (d,), ``basis`` (d, k), ``weight`` (d, d) or a number. scikit-learn's lasso divides the squared error by
-    twice the number of rows, hence the scaling of the penalty. Least angles, not coordinate descent: columns of a
-    young dictionary are nearly parallel, where the latter needs more rounds than it gets.
+    ``target`` (d,), ``basis`` (d, k), ``weight`` (d, d) or a number. An exact active set: from the least-squares code,
+    Newton steps with the present signs. An entry that reaches zero stays there until its slope asks for it; when none
+    does, s is optimal. What is added to the Gram matrix, about its rounding error, shapes the steps, not their end.
     """
-    root = symmetric_root(weight) if np.ndim(weight) else np.sqrt(weight)
-    target, basis = (root @ target, root @ basis) if np.ndim(weight) else (root * target, root * basis)
-    if not np.any(basis):
-        return np.zeros(basis.shape[1])
-    gram, moments, alpha = basis.T @ basis, basis.T @ target, sparsity / (2 * len(target))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", ConvergenceWarning)
-        try:
-            options = {"precompute": gram, "Xy": moments, "check_input": False, "tol": 1e-10, "max_iter": 1000}
-            return lasso_path(np.asfortranarray(basis), target, alphas=[alpha], **options)[1][:, 0]
-        except ConvergenceWarning:
-            return lars_path_gram(moments, gram, n_samples=len(target), method="lasso", alpha_min=alpha)[2][:, -1]
+    weighed, half = (weight @ basis if np.ndim(weight) else weight * basis), sparsity / 2
+    moments = target @ weighed
+    largest = np.abs(moments).max()
+    if largest <= half:
+        return np.zeros(len(moments))
+    gram = basis.T @ weighed
+    ridge, tolerance = np.abs(weight).max() * np.vdot(basis, basis) * np.eye(len(gram)), 1e-9 * (half + largest)
+    code = np.linalg.solve(gram + 1e-8 * ridge, moments)
+    gram, signs = gram + 1e-15 * ridge, np.sign(code)
+    for _ in range(CODING_ROUNDS):
+        slope = (target - basis @ code) @ weighed
+        missing = np.where(signs, slope - half * signs, 0)
+        if np.abs(missing).max() <= tolerance:  # optimal among the codes with these signs
+            outside = np.where(signs, 0, np.abs(slope))
+            entry = outside.argmax()
+            if outside[entry] <= half + tolerance:
+                break
+            signs[entry] = np.sign(slope[entry])
+            missing[entry] = slope[entry] - half * signs[entry]
+        used = np.flatnonzero(signs)
+        old, step = code[used], np.linalg.solve(gram[used[:, None], used], missing[used])
+        parts = np.where((old + step) * signs[used] < 0, -old / np.where(step, step, 1), 1)  # of the step, up to zero
+        code[used] += parts.min() * step
+        gone = used[parts == parts.min()] if parts.min() < 1 else []
+        code[gone] = signs[gone] = 0
+    return code
 
 
 def reconstruction_loss(target: np.ndarray, basis: np.ndarray, code: np.ndarray, weight) -> float:
@@ -83,15 +88,10 @@ class Dictionary:
         """
         system = self.A.copy()
         system.flat[:: len(system) + 1] += n_tasks * self.ridge
-        right = self.b if self.weights == "scalar" else self.b.ravel()
-        try:
-            # The transpose of a symmetric matrix is that matrix in the order of memory that LAPACK wants: no copies.
-            factor = cho_factor(system.T, lower=True, overwrite_a=True, check_finite=False)
-            solution = cho_solve(factor, right, check_finite=False)
-        except LinAlgError:
-            raise ValueError(
-                f"the dictionary's equations lost their precision; raise ridge (now {self.ridge:g})"
-            ) from None
+        # The transpose of a symmetric matrix is that matrix in the order of memory that LAPACK wants: no copies.
+        _, solution, failed = dposv(system.T, self.b.reshape(len(system), -1), lower=True, overwrite_a=True)
+        if failed:
+            raise ValueError(f"the dictionary's equations lost their precision; raise ridge (now {self.ridge:g})")
         self.basis = np.ascontiguousarray(solution.reshape(self.b.shape).T)
         return self.basis
 
