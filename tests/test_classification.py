@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lifelong_lib.environments.classification import ClassificationTasks, domain_one, domain_two
+from lifelong_lib.environments.classification import ClassificationTasks, domain_one, domain_two, shared_subspace
 
 
 def rng(seed=0):
@@ -64,3 +64,10 @@ def test_domain_two_codes_have_exactly_so_many_entries(k, active):
 def test_domain_two_repeats_with_its_seed():
     assert np.array_equal(domain_two(5, rng(1)).theta, domain_two(5, rng(1)).theta)
     assert not np.array_equal(domain_two(5, rng(1)).theta, domain_two(5, rng(2)).theta)
+
+
+def test_models_in_a_shared_subspace_span_just_that():
+    tasks = shared_subspace(50, rng(), d=8, k=3)
+    assert tasks.theta.shape == (50, 8) and tasks.descriptors is tasks.theta
+    assert np.linalg.matrix_rank(tasks.theta) == 3
+    assert np.linalg.norm(tasks.theta, axis=1).max() <= 0.5 * np.sqrt(3) + 1e-12, "a rotated cube of side 1"

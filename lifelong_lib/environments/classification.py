@@ -27,6 +27,13 @@ def domain_one(count: int, rng: np.random.Generator, d: int = 8) -> Classificati
     return ClassificationTasks(theta, theta)
 
 
+def shared_subspace(count: int, rng: np.random.Generator, d: int = 8, k: int = 4) -> ClassificationTasks:
+    """Synthetic domain 1 in another reading: the descriptor is the model, but all models lie in one k-dim. subspace."""
+    basis = np.linalg.qr(rng.standard_normal((d, k)))[0]
+    theta = rng.uniform(-0.5, 0.5, (count, k)) @ basis.T
+    return ClassificationTasks(theta, theta)
+
+
 def domain_two(count: int, rng: np.random.Generator, d: int = 8, d_m: int = 8, k: int = 6, active: int = 2):
     """Synthetic domain 2: models L s and descriptors D s with ``active`` of k codes not zero; all normal draws."""
     L, D = rng.standard_normal((d, k)), rng.standard_normal((d_m, k))
