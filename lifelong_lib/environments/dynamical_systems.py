@@ -220,13 +220,13 @@ def _limits(clipped: dict[int, float], wrapped: Sequence[int]) -> Callable:
 SPRING_MASS_DAMPER = System(
     name="spring-mass-damper",
     parameters=(
-        Quantity("mass", "kg", 0.2, 4.0),
+        Quantity("mass", "kg", 0.5, 3.0),
         Quantity("damping", "N s/m", 0.01, 0.2),
         Quantity("stiffness", "N/m", 1, 20),
     ),
     state=(Quantity("position", "m"), Quantity("velocity", "m/s")),
     actions=(Quantity("force", "N"),),
-    step_seconds=0.15,
+    step_seconds=0.2,
     dynamics=_linear(_spring_mass_damper),
     constrain=_limits({0: 20.0, 1: 20.0}, ()),
     draw_start=lambda rng, size: rng.random((size, 2)),
@@ -234,9 +234,9 @@ SPRING_MASS_DAMPER = System(
 CART_POLE = System(
     name="cart-pole",
     parameters=(
-        Quantity("cart mass", "kg", 0.1, 1.5),
+        Quantity("cart mass", "kg", 0.1, 1.0),
         Quantity("pole mass", "kg", 0.1, 0.5),
-        Quantity("pole length", "m", 0.25, 1.0),
+        Quantity("pole length", "m", 0.3, 1.0),
         Quantity("damping", "N s/m", 0.01, 0.2),
     ),
     state=(
@@ -255,7 +255,7 @@ BICYCLE = System(
     name="bicycle",
     parameters=(
         Quantity("mass", "kg", 10, 14),
-        Quantity("x of the centre of mass", "m", 0.1, 0.8),
+        Quantity("x of the centre of mass", "m", 0.2, 0.6),
         Quantity("z of the centre of mass", "m", 0.4, 0.8),
         Quantity("wheelbase", "m", 1, 3),
         Quantity("trail", "m", 0.05, 0.1),
@@ -271,9 +271,9 @@ BICYCLE = System(
 QUADROTOR = System(
     name="quadrotor",
     parameters=(
-        Quantity("inertia about x", "kg m^2", 1.5e-3, 2e-2),
-        Quantity("inertia about y", "kg m^2", 1.5e-3, 2e-2),
-        Quantity("inertia about z", "kg m^2", 3e-3, 4e-2),
+        Quantity("inertia about x", "kg m^2", 2e-3, 1.2e-2),
+        Quantity("inertia about y", "kg m^2", 2e-3, 1.2e-2),
+        Quantity("inertia about z", "kg m^2", 5e-3, 3e-2),
         Quantity("arm length", "m", 0.2, 0.3),
     ),
     state=tuple(Quantity(name, unit) for unit in ("rad", "rad/s") for name in ("roll", "pitch", "yaw")),
