@@ -1,6 +1,11 @@
 """Where a run is computed: alone, isolated, on one thread, stopped cleanly, and named when it fails."""
 
+import contextlib
+import json
 import os
+import re
+import subprocess
+import sys
 import time
 
 import pytest
@@ -83,3 +88,22 @@ def test_values_that_are_no_arrays_are_refused_by_name(values, key):
 def test_an_absent_dask_scheduler_is_one_line():
     with pytest.raises(ReproductionError, match="no Dask scheduler answers at nowhere"):
         run(lambda config, seed: {"x": 1}, [{}], backend="dask", address="nowhere")
+
+
+def test_a_dask_scheduler_that_cannot_import_the_library_is_one_line(tmp_path):
+    outside = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    known, end = tmp_path / "scheduler.json", time.monotonic() + 60
+    start = [sys.executable, "-m", "dask", "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
+    worker = [sys.executable, "-m", "dask", "worker", "--nthreads", "1", "--host", "127.0.0.1", "--no-dashboard"]
+    with contextlib.ExitStack() as stack:
+        for command, environment in ((start, outside), (worker, os.environ)):
+            options = {"env": environment, "cwd": tmp_path, "stderr": subprocess.DEVNULL}
+            stack.callback(subprocess.Popen([*command, "--scheduler-file", known], **options).terminate)
+        said = "none"
+        while said.endswith("none") and time.monotonic() < end:  # until the worker is there
+            time.sleep(0.5)
+            with pytest.raises((ReproductionError, OSError)) as caught:
+                address = json.loads(known.read_text())["address"]
+                run(lambda config, seed: {"x": 1}, [{}], backend="dask", address=address)
+            said = str(caught.value) if isinstance(caught.value, ReproductionError) else "none"
+    assert re.search("does not know lifelong_lib: .* with PYTHONPATH", said)

@@ -117,3 +117,7 @@ def _dask(address):
             yield client.get_executor(), len(threads)
         except KilledWorker as error:
             raise ReproductionError("Dask workers died again and again (out of memory, or a crash)") from error
+        except RuntimeError as error:  # so Dask says that its scheduler cannot import what was sent
+            mend = "start its scheduler and workers in the checkout, with PYTHONPATH=."
+            require("deserialization" not in str(error), f"Dask at {address} does not know lifelong_lib: {mend}")
+            raise
