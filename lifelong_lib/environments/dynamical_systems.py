@@ -234,9 +234,9 @@ SPRING_MASS_DAMPER = System(
 CART_POLE = System(
     name="cart-pole",
     parameters=(
-        Quantity("cart mass", "kg", 0.1, 1.0),
-        Quantity("pole mass", "kg", 0.1, 0.5),
-        Quantity("pole length", "m", 0.3, 1.0),
+        Quantity("cart mass", "kg", 0.2, 2.0),
+        Quantity("pole mass", "kg", 0.1, 0.2),
+        Quantity("pole length", "m", 0.4, 0.6),
         Quantity("damping", "N s/m", 0.01, 0.2),
     ),
     state=(
@@ -246,7 +246,7 @@ CART_POLE = System(
         Quantity("angular rate", "rad/s"),
     ),
     actions=(Quantity("force", "N"),),
-    step_seconds=0.05,
+    step_seconds=0.02,
     dynamics=_linear(_cart_pole),
     constrain=_limits({0: 5.0, 1: 10.0, 3: 15.0}, (2,)),
     draw_start=lambda rng, size: np.pi / 8 * rng.random((size, 4)),
@@ -257,7 +257,7 @@ BICYCLE = System(
         Quantity("mass", "kg", 10, 14),
         Quantity("x of the centre of mass", "m", 0.2, 0.6),
         Quantity("z of the centre of mass", "m", 0.4, 0.8),
-        Quantity("wheelbase", "m", 1, 3),
+        Quantity("wheelbase", "m", 1, 2),
         Quantity("trail", "m", 0.05, 0.1),
         Quantity("head angle", "rad", np.pi / 3, np.pi * 4 / 9),
     ),
@@ -271,9 +271,9 @@ BICYCLE = System(
 QUADROTOR = System(
     name="quadrotor",
     parameters=(
-        Quantity("inertia about x", "kg m^2", 2e-3, 1.2e-2),
-        Quantity("inertia about y", "kg m^2", 2e-3, 1.2e-2),
-        Quantity("inertia about z", "kg m^2", 5e-3, 3e-2),
+        Quantity("inertia about x", "kg m^2", 1.5e-3, 1.2e-2),
+        Quantity("inertia about y", "kg m^2", 1.5e-3, 1.2e-2),
+        Quantity("inertia about z", "kg m^2", 4e-3, 3e-2),
         Quantity("arm length", "m", 0.2, 0.3),
     ),
     state=tuple(Quantity(name, unit) for unit in ("rad", "rad/s") for name in ("roll", "pitch", "yaw")),

@@ -139,14 +139,22 @@ class PolicyGradient:
         """Return the reward per step (T,) of ``n`` fresh roll-outs of each policy."""
         return tasks.roll_out(policies, self.n, rngs, self.noise).mean_reward()
 
+    def curvature(self, tasks, policies: np.ndarray, rngs: list) -> np.ndarray:
+        """Return Gamma (T, d, d) at ``policies``, scaled to mean diagonal 1 and averaged with I.
+
+        Returns of different tasks have no common scale, so that the worst policies, with the largest states, would
+        decide the dictionary alone, and few of them leave the direction of their fall, so that the others would go
+        without any weight.
+        """
+        hessians = reward_weighted_hessian(tasks.roll_out(policies, self.n, rngs, self.noise), self.noise)
+        scale = np.trace(hessians, axis1=1, axis2=2)[:, None, None] / hessians.shape[1]
+        return (hessians / scale + np.eye(hessians.shape[1])) / 2
+
     def sessions(self, tasks, policies: np.ndarray, order: list[int], rngs: list) -> list[tuple]:
         """Learn tasks in the ``order`` they are met and return (task, alpha (d,), Gamma (d, d)) for each meeting.
 
         A task met again goes on from its own policy. As a single-task learner owes nothing to other tasks, the v-th
-        meetings of all tasks run as one batch; generators of their own make that equal to one after another. Gamma is
-        scaled to mean diagonal 1 and averaged with I: returns of different tasks have no common scale, so that the
-        worst policies, with the largest states, would decide the dictionary alone, and few of them leave the direction
-        of their fall, so that the others would go without any weight.
+        meetings of all tasks run as one batch; generators of their own make that equal to one after another.
         """
         current, met = policies.copy(), np.bincount(order, minlength=len(policies))
         learned = {}
@@ -154,9 +162,8 @@ class PolicyGradient:
             chosen = np.flatnonzero(met >= visit)
             batch, own = tasks[chosen], [rngs[t] for t in chosen]
             current[chosen] = self.learn(batch, current[chosen], own)[0][-1]
-            hessians = reward_weighted_hessian(batch.roll_out(current[chosen], self.n, own, self.noise), self.noise)
-            for t, hessian in zip(chosen, hessians, strict=True):
-                learned[t, visit] = current[t].copy(), (hessian / np.diag(hessian).mean() + np.eye(len(hessian))) / 2
+            for t, hessian in zip(chosen, self.curvature(batch, current[chosen], own), strict=True):
+                learned[t, visit] = current[t].copy(), hessian
         visits = [order[: i + 1].count(t) for i, t in enumerate(order)]
         return [(t, *learned[t, visit]) for t, visit in zip(order, visits, strict=True)]
 

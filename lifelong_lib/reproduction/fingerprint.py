@@ -102,8 +102,8 @@ class _Walk:
             self._refuse(name, f"a second {label}", "give it another name")
         if label not in self.parts:
             text, tree = _normalised(textwrap.dedent(inspect.getsource(function)))
-            hidden = (function.__defaults__, function.__kwdefaults__, {})  # {}: as in the digests that are stored
-            self.parts[label] = sha256(text + self.text_of(hidden, function.__qualname__))
+            hidden = self.text_of((function.__defaults__, function.__kwdefaults__), function.__qualname__)
+            self.parts[label] = sha256(text + hidden)
             for module in _imported(tree, ""):
                 self._module(module)
             for read in sorted(_globals_read(function.__code__) & function.__globals__.keys()):
