@@ -2,6 +2,7 @@
 
 from copy import deepcopy
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import pytest
@@ -351,16 +352,18 @@ def test_generators_are_independent_and_go_on_where_they_stopped():
     assert draws == [rng.random() for rng in generators(np.random.SeedSequence(1), 5)]
 
 
-def test_standardised_reinforce_keeps_the_direction_and_forgets_the_scale_of_rewards():
+@pytest.mark.parametrize("gradient", [reinforce_gradient, partial(natural_gradient, discount=1.0)])
+def test_standardised_gradients_keep_their_direction_and_forget_the_scale_of_rewards(gradient):
     rollouts, policies, _ = many(2, 1.0, batches=3, n=100)
-    plain, ours = (reinforce_gradient(rollouts, policies, NOISE, standardise=value) for value in (False, True))
+    plain, ours = (gradient(rollouts, policies, NOISE, standardise=value) for value in (False, True))
     spread = rollouts.rewards.sum(axis=2).std(axis=1, keepdims=True)
     assert np.allclose(ours * spread, plain)
     scaled = rollouts._replace(rewards=1000 * rollouts.rewards)
-    assert np.allclose(reinforce_gradient(scaled, policies, NOISE, standardise=True), ours)
+    assert np.allclose(gradient(scaled, policies, NOISE, standardise=True), ours)
 
 
-def test_standardised_reinforce_survives_returns_that_are_all_alike():
+@pytest.mark.parametrize("gradient", [reinforce_gradient, natural_gradient])
+def test_standardised_gradients_survive_returns_that_are_all_alike(gradient):
     rollouts, policies, _ = many(2, 1.0, batches=3, n=100)
     flat = rollouts._replace(rewards=np.zeros_like(rollouts.rewards))
-    assert not reinforce_gradient(flat, policies, NOISE, standardise=True).any()
+    assert not gradient(flat, policies, NOISE, standardise=True).any()

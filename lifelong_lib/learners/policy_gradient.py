@@ -26,22 +26,28 @@ def scores(trajectories, policies: np.ndarray, noise: float, discount: float = 1
     return ((weights * residuals).swapaxes(-1, -2) @ states).reshape(T, n, -1)
 
 
+def advantages(trajectories, discount: float, standardise: bool = False) -> np.ndarray:
+    """Return each roll-out's return minus the task's mean return, the baseline: (T, n).
+
+    ``standardise`` divides by the spread of the returns, so that one step size serves tasks whose returns differ by
+    orders of magnitude. The direction of a gradient stays the same.
+    """
+    returns = discounted_returns(trajectories.rewards, discount)
+    returns -= returns.mean(axis=1, keepdims=True)
+    return returns / np.maximum(returns.std(axis=1, keepdims=True), np.finfo(float).tiny) if standardise else returns
+
+
 def reinforce_gradient(
     trajectories, policies: np.ndarray, noise: float, discount: float = 1.0, standardise: bool = False
 ) -> np.ndarray:
-    """Episodic REINFORCE with the mean return as baseline (Williams 1992): (T, d).
-
-    ``standardise`` divides by the spread of the returns, so that one step size serves tasks whose returns differ by
-    orders of magnitude. The direction stays the same.
-    """
-    returns = discounted_returns(trajectories.rewards, discount)
-    advantages = returns - returns.mean(axis=1, keepdims=True)
-    if standardise:
-        advantages /= np.maximum(returns.std(axis=1, keepdims=True), np.finfo(float).tiny)
-    return (advantages[:, None] @ scores(trajectories, policies, noise))[:, 0] / advantages.shape[1]
+    """Episodic REINFORCE with the mean return as baseline (Williams 1992): (T, d)."""
+    gains = advantages(trajectories, discount, standardise)
+    return (gains[:, None] @ scores(trajectories, policies, noise))[:, 0] / gains.shape[1]
 
 
-def natural_gradient(trajectories, policies: np.ndarray, noise: float, discount: float = 0.9) -> np.ndarray:
+def natural_gradient(
+    trajectories, policies: np.ndarray, noise: float, discount: float = 0.9, standardise: bool = False
+) -> np.ndarray:
     """Episodic natural actor-critic (Peters and Schaal 2008): (T, d).
 
     Least squares of the returns on the roll-outs' scores and a constant; the slope is the natural gradient. Columns are
@@ -51,7 +57,7 @@ def natural_gradient(trajectories, policies: np.ndarray, noise: float, discount:
     spread = features.std(axis=1, keepdims=True)
     spread[spread == 0] = 1.0
     design = np.concatenate([features / spread, np.ones_like(features[:, :, :1])], axis=2)
-    slope = np.linalg.pinv(design) @ discounted_returns(trajectories.rewards, discount)[..., None]
+    slope = np.linalg.pinv(design) @ advantages(trajectories, discount, standardise)[..., None]
     return slope[:, :-1, 0] / spread[:, 0]
 
 

@@ -47,6 +47,7 @@ STYLE = {
     "axes.linewidth": 0.6, "axes.spines.top": False, "axes.spines.right": False, "axes.axisbelow": True,
     "axes.grid": True, "grid.color": "#DDDDDD", "grid.linewidth": 0.5, "lines.linewidth": 1.4, "lines.markersize": 4.5,
     "legend.frameon": False, "hatch.linewidth": 0.6, "figure.dpi": 110, "savefig.dpi": 150, "svg.fonttype": "path",
+    "axes.formatter.min_exponent": 3,  # 4, not 4 x 10^0
 }
 
 

@@ -17,15 +17,21 @@ class ELLA:
     """Efficient lifelong learning: policies theta = L s in a dictionary L that grows wiser with each task.
 
     ``n_components``: columns k of L; ``sparsity``: weight mu of ||s||_1; ``ridge``: weight lambda of ||L||_F^2;
-    ``learn_dictionary`` False keeps the random first basis (a negative control); ``hessian`` False replaces every Gamma
-    by its mean diagonal times I; ``random_state``: seed or generator of the first basis.
+    ``start``: "tasks" makes the first k tasks the first columns, as the authors' released ELLA can, "random" draws them
+    (algorithms 1, 2), which may take many visits to be forgotten; ``learn_dictionary`` False keeps a random basis (a
+    negative control); ``hessian`` False replaces every Gamma by its mean diagonal times I; ``random_state``: seed or
+    generator of the first basis.
     Learned: ``basis_`` (d, k), ``codes_`` {task: (k,)}, ``n_tasks_``.
     """
 
-    def __init__(self, n_components=4, sparsity=1e-3, ridge=1e-5, learn_dictionary=True, hessian=True, random_state=0):
+    def __init__(
+        self, n_components=4, sparsity=1e-3, ridge=1e-5, start="tasks", learn_dictionary=True, hessian=True,
+        random_state=0,
+    ):  # fmt: skip
         self.n_components = n_components
         self.sparsity = sparsity
         self.ridge = ridge
+        self.start = start
         self.learn_dictionary = learn_dictionary
         self.hessian = hessian
         self.random_state = random_state
@@ -112,6 +118,8 @@ class ELLA:
     def _learn(self, task, targets: list, weights: list) -> "ELLA":
         """Code the task in the old dictionaries, exchange its part of A and b, solve them anew (algorithms 1, 2)."""
         if not hasattr(self, "codes_"):
+            if self.start not in ("tasks", "random"):
+                raise ValueError(f"start must be 'tasks' or 'random', got {self.start!r}")
             rng = np.random.default_rng(self.random_state)
             self.codes_, self._parts = {}, {}
             self.dictionaries_ = [
@@ -125,7 +133,10 @@ class ELLA:
             dictionary.revive()
             if task in self.codes_:
                 dictionary.add(self.codes_[task], *self._parts[task][view], sign=-1)
-        code = joint_code(targets, [dictionary.basis for dictionary in self.dictionaries_], weights, self.sparsity)
+        if self.start == "tasks" and self.learn_dictionary and self.n_tasks_ < self.n_components:
+            code = self.codes_.get(task, np.eye(self.n_components)[self.n_tasks_])
+        else:
+            code = joint_code(targets, [dictionary.basis for dictionary in self.dictionaries_], weights, self.sparsity)
         self.codes_[task], self._parts[task] = code, list(zip(targets, weights, strict=True))
         for dictionary, target, weight in zip(self.dictionaries_, targets, weights, strict=True):
             dictionary.add(code, target, weight)
@@ -142,9 +153,10 @@ class TaDeLL(ELLA):
     """
 
     def __init__(
-        self, n_components=4, sparsity=1e-3, ridge=1e-5, descriptor_weight=1.0, learn_dictionary=True, random_state=0
-    ):
-        super().__init__(n_components, sparsity, ridge, learn_dictionary, random_state=random_state)
+        self, n_components=4, sparsity=1e-3, ridge=1e-5, descriptor_weight=1.0, start="tasks", learn_dictionary=True,
+        random_state=0,
+    ):  # fmt: skip
+        super().__init__(n_components, sparsity, ridge, start, learn_dictionary, random_state=random_state)
         self.descriptor_weight = descriptor_weight
 
     def partial_fit(self, task, parameters: np.ndarray, hessian: np.ndarray, descriptor: np.ndarray) -> "TaDeLL":
