@@ -41,6 +41,7 @@ LOOKS = {
     "warm start": Look("#D55E00", "P", "-", "++"),
     "copied": Look("#999999", "X", (0, (3, 3)), "---"),
     "random": Look("#666666", "1", (0, (1, 3)), "ooo"),
+    "random start": Look("#882255", "<", (0, (3, 1, 1, 1)), "..."),
 }
 STYLE = {
     "font.family": "DejaVu Sans", "font.size": 8, "axes.titlesize": 9, "axes.titleweight": "bold",
