@@ -15,7 +15,6 @@ import platform
 import re
 import subprocess
 import sys
-import zipfile
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -250,10 +249,7 @@ def _read(path, config, seed, keep) -> Run | None:
 def _npz(values) -> bytes:
     """An npz file with the same bytes for the same values: names sorted, no dates, no pickle."""
     buffer = BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
-        for key in sorted(values):
-            with archive.open(zipfile.ZipInfo(f"{key}.npy"), "w", force_zip64=True) as member:
-                np.lib.format.write_array(member, values[key], allow_pickle=False)
+    np.savez(buffer, allow_pickle=False, **dict(sorted(values.items())))
     return buffer.getvalue()
 
 
