@@ -201,7 +201,7 @@ def test_a_full_disk_between_the_two_files_leaves_no_false_pair(root, monkeypatc
     run_and_read(root)
     monkeypatch.setitem(globals(), "SCALE", 4.0)
     with monkeypatch.context() as patch:
-        patch.setattr(runs, "_json", lambda value: runs.require(False, "no space for the record"))
+        patch.setattr(runs, "write_json", lambda path, content: runs.require(False, "no space for the record"))
         with pytest.raises(ReproductionError, match="no space"):
             run_and_read(root)
     run_and_read(root)

@@ -4,38 +4,20 @@ Everything here is made from files that a run left in `figures/latest/<profile>`
 """
 
 import csv
-import json
 import math
 import platform
 import re
 import shutil
-import subprocess
-from importlib import metadata
 from itertools import chain
 from pathlib import Path
 
 from matplotlib.image import imread
 
 from lifelong_lib.reproduction.fingerprint import require, sha256
-from lifelong_lib.reproduction.runs import ROOT, ReproductionError, write_atomically
+from lifelong_lib.reproduction.runs import ROOT, commit, read_json, versions, write_json
 
 VERDICTS = ("holds", "undecided", "contradicted", "not tested")
 ACCEPTED = ("*.csv", "*.png", "*.svg", "*.md")
-PACKAGES = ("numpy", "scipy", "scikit-learn", "torch", "matplotlib", "gymnasium", "rerun-sdk", "joblib", "papermill")
-
-
-def read_json(path: Path, default: object) -> object:
-    """The content of a JSON file, or `default` when there is none; a damaged file raises ReproductionError."""
-    if not path.exists():
-        return default
-    try:
-        return json.loads(path.read_bytes())
-    except ValueError as error:
-        raise ReproductionError(f"{path} is damaged ({error}); delete it and run again") from error
-
-
-def write_json(path: Path, content: object) -> None:
-    write_atomically(path, json.dumps(content, indent=1, sort_keys=True) + "\n")
 
 
 def write_provenance(folder: Path, profile: str, parameters: dict[int, dict]) -> None:
@@ -49,22 +31,13 @@ def write_provenance(folder: Path, profile: str, parameters: dict[int, dict]) ->
         counts = {grid["name"]: {key: grid[key] for key in ("wanted", "computed", "read", "stale")}
                   for grid in grids if grid["chapter"] == number}
         chapters[f"ch{number:02d}"] = {"parameters": values, "runs": counts}
-    versions = {name: metadata.version(name) for name in PACKAGES}
     write_json(folder / "provenance.json", {
-        "profile": profile, "commit": _commit(), "lock": sha256((ROOT / "environment.txt").read_bytes()),
-        "chapters": chapters, "versions": versions | {"python": platform.python_version()},
+        "profile": profile, "commit": commit(), "lock": sha256((ROOT / "environment.txt").read_bytes()),
+        "chapters": chapters, "versions": versions("matplotlib", "rerun-sdk", "joblib", "papermill"),
         "machine": f"{platform.system()} {platform.machine()}",
     })
     costs = {f"ch{grid['chapter']:02d}/{grid['name']}": grid["seconds_per_run"] for grid in grids}
     write_json(folder / "unit_costs.json", costs)
-
-
-def _commit() -> str:
-    describe = ["git", "-C", str(ROOT), "describe", "--always", "--exclude=*", "--abbrev=40", "--dirty= with changes"]
-    try:
-        return subprocess.run(describe, capture_output=True, text=True, check=True).stdout.strip()
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown (no git history here)"
 
 
 def compare(latest: Path, reference: Path) -> dict:
