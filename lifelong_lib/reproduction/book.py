@@ -19,7 +19,7 @@ from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.util import logging
 
 from .fingerprint import SOURCES, require
-from .notebooks import cell_ids, made_ids
+from .notebooks import made_ids, named_in_calls
 from .report import order, read_json, verdict_counts
 from .runs import ROOT
 from .tables import Table, readable
@@ -85,7 +85,7 @@ def _chapter_page(path: Path) -> nbformat.NotebookNode:
     notebook.metadata.pop("papermill", None)
     for cell in notebook.cells:
         cell.metadata.pop("papermill", None)
-        anchors = "".join(f'<a id="{name}"></a>' for name in cell_ids(cell.source) if cell.cell_type == "code")
+        anchors = "".join(f'<a id="{name}"></a>' for name in named_in_calls(cell.source) if cell.cell_type == "code")
         cells += [nbformat.v4.new_markdown_cell(anchors, id=f"at-{cell.id}"[:64])] if anchors else []
         cells.append(cell)
     notebook.cells = cells
