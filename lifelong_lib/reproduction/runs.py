@@ -99,8 +99,8 @@ class Results(tuple):
         require(runs, f"no run has {config}: the runs have {known}")
         fitting = list(dict.fromkeys(_canonical(run.config) for run in runs))
         require(len(fitting) == 1, f"{len(fitting)} configurations fit {config}, e.g. {' and '.join(fitting[:2])}")
-        for run in runs:
-            require(key in run.values, f"no result {key!r} at {fitting[0]}, seed {run.seed}, only {list(run.values)}")
+        known = list(runs[0].values)
+        require(all(key in run.values for run in runs), f"no result {key!r} at {fitting[0]}, only {known}")
         return np.stack([run.values[key] for run in runs])
 
 
@@ -177,7 +177,7 @@ def read_json(path: Path, default: object) -> object:
 
 
 def write_json(path: Path, content: object) -> None:
-    write_atomically(path, json.dumps(content, indent=1, sort_keys=True) + "\n")
+    write_atomically(path, json.dumps(content, indent=1, sort_keys=True, allow_nan=False) + "\n")
 
 
 def write_atomically(path: Path, data: bytes | str) -> None:
