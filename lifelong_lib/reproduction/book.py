@@ -33,7 +33,6 @@ html_theme_options = {"home_page_in_toc": True, "use_download_button": False, "u
 html_static_path = ["_static"]
 html_css_files = ["book.css"]
 html_copy_source = html_show_sphinx = html_show_copyright = False
-html_last_updated_fmt = None
 html_math_renderer = "mathml"
 nb_execution_mode = "off"
 nb_output_stderr = "remove"
@@ -80,11 +79,9 @@ def build_book(folder: Path, reference: Path) -> Path:
 
 
 def _chapter_page(path: Path) -> nbformat.NotebookNode:
-    """The executed copy with a place to link to before every cell that makes a result, and without clock times."""
+    """The executed copy with a place to link to before every cell that makes a result."""
     notebook, cells = nbformat.read(path, as_version=4), []
-    notebook.metadata.pop("papermill", None)
     for cell in notebook.cells:
-        cell.metadata.pop("papermill", None)
         anchors = "".join(f'<a id="{name}"></a>' for name in named_in_calls(cell.source) if cell.cell_type == "code")
         cells += [nbformat.v4.new_markdown_cell(anchors, id=f"at-{cell.id}"[:64])] if anchors else []
         cells.append(cell)

@@ -152,7 +152,7 @@ def execute(path: Path, parameters: dict[str, object], folder: Path, options: di
     except PapermillExecutionError as error:
         errors = [(cell.execution_count, output) for cell in read_notebook(copy).cells
                   for output in cell.get("outputs", []) if output.output_type == "error"]  # fmt: skip
-        count, first = [*errors, (error.exec_count, error)][0]  # papermill names the last
+        count, first = errors[0]  # papermill names the last
         if "plan" not in options or first.ename != "NotStored":
             cause = (first.evalue.strip().splitlines() or ["no message"])[0]
             place = f"{path.name}, cell [{count}]"

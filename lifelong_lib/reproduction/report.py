@@ -17,7 +17,7 @@ from lifelong_lib.reproduction.fingerprint import require, sha256
 from lifelong_lib.reproduction.runs import ROOT, commit, read_json, versions, write_json
 
 VERDICTS = ("holds", "undecided", "contradicted", "not tested")
-ACCEPTED = ("*.csv", "*.png", "*.svg", "*.md")
+RESULTS = "[FT]*.*"  # the files of figures and tables
 
 
 def write_provenance(folder: Path, profile: str, parameters: dict[int, dict]) -> None:
@@ -108,12 +108,12 @@ def verdict_counts(claims: list[dict]) -> dict[str, int]:
 
 def accept(latest: Path, reference: Path) -> int:
     """Makes the results in `latest` the reference; chapters that are not in `latest` keep theirs. Returns how many."""
-    made = [path for pattern in ACCEPTED for path in sorted(latest.glob(pattern))]
+    made = list(latest.glob(RESULTS))
     require(made, f"there is nothing in {latest} to accept; run `./reproduce.sh run` first")
     claims = read_json(latest / "claims.json", [])
     chapters = {order(name)[1] for name in [path.stem for path in made] + [row["id"] for row in claims]}
     reference.mkdir(parents=True, exist_ok=True)
-    for path in [path for pattern in ACCEPTED for path in reference.glob(pattern)]:
+    for path in list(reference.glob(RESULTS)):
         if order(path.stem)[1] in chapters:
             path.unlink()
     for path in made:
