@@ -20,8 +20,8 @@ from sphinx.util import logging
 
 from .fingerprint import SOURCES, require
 from .notebooks import made_ids, named_in_calls
-from .report import order, read_json, verdict_counts
-from .runs import ROOT
+from .report import order, read_grids, verdict_counts
+from .runs import ROOT, read_json
 from .tables import Table, readable
 
 CONFIGURATION = """
@@ -104,7 +104,7 @@ def _counts(claims: list[dict]) -> str:
 
 
 def _front_page(folder: Path, reference: Path, claims: list[dict], places: dict) -> str:
-    rests = [set(read_json(path, {})["makes"]) for path in sorted((folder / "runs").glob("*.json"))]
+    rests = [set(grid["makes"]) for grid in read_grids(folder)]
     compared = {row["id"]: row for row in read_json(folder / "comparison.json", {}).get("results", [])}
     parts = ["# Lifelong reinforcement learning on mobile robots, reproduced",
              f"Made at the profile **{folder.name}**. [The claims of the thesis](claims.md): {_counts(claims)}",

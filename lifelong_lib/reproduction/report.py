@@ -20,12 +20,17 @@ VERDICTS = ("holds", "undecided", "contradicted", "not tested")
 RESULTS = "[FT]*.*"  # the files of figures and tables
 
 
+def read_grids(folder: Path) -> list[dict]:
+    """What run_grid left in `folder` about each grid."""
+    return [read_json(path, {}) for path in sorted((folder / "runs").glob("*.json"))]
+
+
 def write_provenance(folder: Path, profile: str, parameters: dict[int, dict]) -> None:
     """Writes provenance.json (what made the results; no dates) and unit_costs.json (seconds a run of each grid).
 
     parameters: the full parameter values of the chapters that were just run; other chapters keep their entry.
     """
-    grids = [read_json(path, {}) for path in sorted((folder / "runs").glob("*.json"))]
+    grids = read_grids(folder)
     chapters = read_json(folder / "provenance.json", {}).get("chapters", {})
     for number, values in parameters.items():
         counts = {grid["name"]: {key: grid[key] for key in ("wanted", "computed", "read", "stale")}

@@ -41,7 +41,7 @@ class NotStored(ReproductionError):
 class Chapter:
     """A notebook's parameters.
 
-    Commands pass their checked options backend, address, fresh, plan (a file) and audit (a number) as JSON in the
+    Commands pass their checked options backend, address, fresh, plan and audit (a number) as JSON in the
     variable LIFELONG_OPTIONS; a notebook that was opened by hand has none.
     """
 
@@ -123,9 +123,9 @@ def run_grid(chapter: Chapter, name: str, experiment: Callable, configs, seeds=N
     causes = Counter(itertools.chain(*stale.values()))
     grid = {"chapter": chapter.number, "name": name, "makes": list(makes), "wanted": len(tasks), "causes": causes}
     if "plan" in options:
-        _plan(chapter, grid, runs, stale, todo)
+        grid |= _plan(chapter, name, tasks, runs, stale, todo)
     elif "audit" in options:
-        _audit(chapter, name, experiment, tasks, runs, stale)
+        grid["audited"] = _audit(chapter, name, experiment, tasks, runs, stale)
     else:
         runs |= _compute_and_store(chapter, name, experiment, todo, parts)
         if kept:
@@ -134,7 +134,9 @@ def run_grid(chapter: Chapter, name: str, experiment: Callable, configs, seeds=N
         grid |= {"computed": len(todo), "read": len(tasks) - len(todo), "stale": kept}
         grid["seconds_per_run"] = float(np.mean([run.seconds for run in runs.values()]))
         chapter.grids[name] = grid
-        write_json(chapter.folder / "runs" / f"{chapter.results.name}-{name}.json", grid)
+    write_json(chapter.folder / "runs" / f"{chapter.results.name}-{name}.json", grid)
+    if "plan" in options and todo:
+        raise NotStored(f"{len(todo)} of {len(tasks)} runs of '{name}' are missing or stale")
     return Results(runs[path] for path in tasks)
 
 
@@ -194,11 +196,6 @@ def write_atomically(path: Path, data: bytes | str) -> None:
     finally:
         with contextlib.suppress(OSError):
             part.unlink()
-
-
-def _append(path: Path, rows: list[dict]):
-    with path.open("a", encoding="utf-8") as file:
-        file.writelines(json.dumps(row, sort_keys=True) + "\n" for row in rows)
 
 
 def _warn(message: str):
@@ -296,20 +293,17 @@ def _bar(title, tasks):
     return tqdm(total=len(tasks), desc=title, unit="run", file=stream, disable=not tasks, mininterval=pace)
 
 
-def _plan(chapter, grid, runs, stale, todo):
-    """Append what this grid would compute, and the seconds it would take; NotStored if that is anything."""
+def _plan(chapter, name, tasks, runs, stale, todo) -> dict:
+    """How much of a grid is stored, and the seconds that the rest would take; None if that is not known."""
     costs = read_json(ROOT / "figures" / "reference" / chapter.profile / "unit_costs.json", {})
-    name = f"{chapter.results.name}/{grid['name']}"
-    each = np.mean([run.seconds for run in runs.values()]) if runs else costs.get(name)
+    each = np.mean([run.seconds for run in runs.values()]) if runs else costs.get(f"{chapter.results.name}/{name}")
     seconds = None if each is None else float(each) * math.ceil(len(todo) / chapter.workers)
-    grid |= {"stored": len(runs) - len(stale), "stale": len(stale), "missing": grid["wanted"] - len(runs)}
-    _append(Path(chapter.options["plan"]), [grid | {"seconds": seconds}])
-    if todo:
-        raise NotStored(f"{len(todo)} of {grid['wanted']} runs of '{grid['name']}' are missing or stale")
+    counts = {"stored": len(runs) - len(stale), "stale": len(stale), "missing": len(tasks) - len(runs)}
+    return counts | {"seconds": seconds}
 
 
-def _audit(chapter, name, experiment, tasks, runs, stale):
-    """Recompute this grid's share of K stored runs drawn from the whole chapter; the verdicts go to audit.jsonl.
+def _audit(chapter, name, experiment, tasks, runs, stale) -> list[dict]:
+    """Recompute this grid's share of K stored runs drawn from the whole chapter; a verdict for each.
 
     Values whose names begin with `seconds` are measured times and not compared.
     """
@@ -322,9 +316,8 @@ def _audit(chapter, name, experiment, tasks, runs, stale):
         old, new = ({key: _npz({"": array}) for key, array in found.items() if not key.startswith("seconds")}
                     for found in (runs[path].values, values))  # fmt: skip
         differs = [key for key in sorted(old.keys() | new.keys()) if old.get(key) != new.get(key)]
-        row = {"chapter": chapter.number, "name": name, "run": path.stem, "same": not differs, "differs": differs}
-        rows.append(row | {"stale": path in stale})
-    _append(chapter.folder / "audit.jsonl", sorted(rows, key=lambda row: row["run"]))
+        rows.append({"run": f"{name}/{path.stem}", "same": not differs, "differs": differs, "stale": path in stale})
+    return sorted(rows, key=lambda row: row["run"])
 
 
 def _completed(chapter, name, experiment, tasks):
