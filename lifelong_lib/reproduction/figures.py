@@ -68,7 +68,7 @@ def legend(fig):
     rows = np.ceil(4.4 * length / (72 * fig.get_figwidth()))
     with plt.rc_context(STYLE):
         fig.legend(entries.values(), entries.keys(), loc="outside upper center", handlelength=3.2, columnspacing=1.4,
-                   ncols=max(1, int(np.ceil(len(entries) / max(1, rows)))))
+                   ncols=int(np.ceil(len(entries) / rows)))
 
 
 def reward_scale(ax):
