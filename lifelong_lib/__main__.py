@@ -5,7 +5,6 @@ speed is missed); 2 the command or its input is wrong; 130 interrupted.
 """
 
 import argparse
-import json
 import os
 import subprocess
 import sys
@@ -180,11 +179,11 @@ def plan(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, 
 
 def audit_runs(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, dict]) -> int:
     """Recomputes `options.audit` stored runs, shared out over the chapters; 1 if any differs or too few are stored."""
-    rows = look(options, chosen, typed)
-    for row in rows:
+    rows = [(grid["chapter"], row) for grid in look(options, chosen, typed) for row in grid["audited"]]
+    for chapter, row in rows:
         said = "identical" if row["same"] else f"DIFFERENT in {', '.join(row['differs'])}"
-        print(f"chapter {row['chapter']}  {row['name']}/{row['run']}: {said}{' (made by older code)' * row['stale']}")
-    same = sum(row["same"] for row in rows)
+        print(f"chapter {chapter}  {row['run']}: {said}{' (made by older code)' * row['stale']}")
+    same = sum(row["same"] for _, row in rows)
     print(f"{same} of {len(rows)} recomputed runs are identical to what is stored")
     if len(rows) < options.audit:
         return complain(f"of {options.audit} runs drawn, the notebooks as they are now own only {len(rows)}", 1)
@@ -192,17 +191,17 @@ def audit_runs(options: argparse.Namespace, chosen: dict[int, Path], typed: dict
 
 
 def look(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, dict]) -> list[dict]:
-    """Executes the notebooks into a throw-away folder; returns what run_grid said of each grid, or audited run."""
+    """Executes the notebooks into a throw-away folder; returns what run_grid said of each grid."""
+    left = options.audit or 0
     with tempfile.TemporaryDirectory(prefix="lifelong-look-") as temporary:
-        lines, left = Path(temporary, "audit.jsonl" if options.audit else "plan.jsonl"), options.audit or 0
         for place, (number, path) in enumerate(chosen.items()):
             share = -(-left // (len(chosen) - place))
             left -= share
             if share or not options.audit:
                 print(f"looking into chapter {number}", file=sys.stderr, flush=True)
-                asked = kernel_options(options, audit=share, plan="" if options.audit else str(lines))
+                asked = kernel_options(options, audit=share, plan=not options.audit)
                 notebooks.execute(path, typed[number] | {"output_dir": temporary}, Path(temporary), asked)
-        return [json.loads(line) for line in lines.read_text().splitlines()] if lines.exists() else []
+        return report.read_grids(Path(temporary))
 
 
 def compare_command(options: argparse.Namespace) -> int:

@@ -17,7 +17,7 @@ from lifelong_lib.reproduction.notebooks import COMMON, find_notebooks, made_ids
 LIBRARY = REPOSITORY / "lifelong_lib"
 SOURCES = sorted(LIBRARY.rglob("*.py"))
 NOTEBOOKS = find_notebooks(REPOSITORY / "notebooks")
-LINES = 3400   # the plan was 2,900 after chapters 2 and 4: a debt, not a licence; raise only with a reason here
+LINES = 3350   # the plan was 2,900 after chapters 2 and 4: a debt, not a licence; raise only with a reason here
 
 # May import from: None = anything of the library. A module that is not listed falls under its package.
 ALLOWED = {

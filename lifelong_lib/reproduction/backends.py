@@ -65,7 +65,8 @@ def _arrays(values) -> dict[str, np.ndarray]:
     require(isinstance(values, dict) and values, f"it must return a dict of arrays and numbers, not {values!r}")
     arrays = {}
     for key, value in values.items():
-        require(isinstance(key, str) and re.fullmatch(r"[\w .+=-]+", key), f"{key!r} cannot be the name of a result")
+        named = isinstance(key, str) and re.fullmatch(r"(?!(file|allow_pickle)$)[\w .+=-]+", key)  # these are savez's
+        require(named, f"{key!r} cannot be the name of a result")
         with contextlib.suppress(ValueError, TypeError):  # e.g. lists of different lengths
             arrays[key] = np.asarray(value, order="C")
         good = key in arrays and arrays[key].dtype.kind in "biufcU"

@@ -19,9 +19,9 @@ from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.util import logging
 
 from .fingerprint import SOURCES, require
-from .notebooks import cell_ids, made_ids
-from .report import order, read_json, verdict_counts
-from .runs import ROOT
+from .notebooks import made_ids, named_in_calls
+from .report import order, read_grids, verdict_counts
+from .runs import ROOT, read_json
 from .tables import Table, readable
 
 CONFIGURATION = """
@@ -33,7 +33,6 @@ html_theme_options = {"home_page_in_toc": True, "use_download_button": False, "u
 html_static_path = ["_static"]
 html_css_files = ["book.css"]
 html_copy_source = html_show_sphinx = html_show_copyright = False
-html_last_updated_fmt = None
 html_math_renderer = "mathml"
 nb_execution_mode = "off"
 nb_output_stderr = "remove"
@@ -80,12 +79,10 @@ def build_book(folder: Path, reference: Path) -> Path:
 
 
 def _chapter_page(path: Path) -> nbformat.NotebookNode:
-    """The executed copy with a place to link to before every cell that makes a result, and without clock times."""
+    """The executed copy with a place to link to before every cell that makes a result."""
     notebook, cells = nbformat.read(path, as_version=4), []
-    notebook.metadata.pop("papermill", None)
     for cell in notebook.cells:
-        cell.metadata.pop("papermill", None)
-        anchors = "".join(f'<a id="{name}"></a>' for name in cell_ids(cell.source) if cell.cell_type == "code")
+        anchors = "".join(f'<a id="{name}"></a>' for name in named_in_calls(cell.source) if cell.cell_type == "code")
         cells += [nbformat.v4.new_markdown_cell(anchors, id=f"at-{cell.id}"[:64])] if anchors else []
         cells.append(cell)
     notebook.cells = cells
@@ -107,7 +104,7 @@ def _counts(claims: list[dict]) -> str:
 
 
 def _front_page(folder: Path, reference: Path, claims: list[dict], places: dict) -> str:
-    rests = [set(read_json(path, {})["makes"]) for path in sorted((folder / "runs").glob("*.json"))]
+    rests = [set(grid["makes"]) for grid in read_grids(folder)]
     compared = {row["id"]: row for row in read_json(folder / "comparison.json", {}).get("results", [])}
     parts = ["# Lifelong reinforcement learning on mobile robots, reproduced",
              f"Made at the profile **{folder.name}**. [The claims of the thesis](claims.md): {_counts(claims)}",

@@ -7,15 +7,14 @@ contradicted if one is. A negative control, the same numbers with the claimed ca
 """
 
 import html
-import json
 import tomllib
 from types import SimpleNamespace
 
 import numpy as np
 
 from lifelong_lib.reproduction.fingerprint import require
-from lifelong_lib.reproduction.report import order, read_json
-from lifelong_lib.reproduction.runs import PROFILES, ROOT, ReproductionError, write_atomically
+from lifelong_lib.reproduction.report import order
+from lifelong_lib.reproduction.runs import PROFILES, ROOT, ReproductionError, read_json, write_json
 from lifelong_lib.reproduction.statistics import bootstrap_interval, paired_permutation, standard_error
 
 LEDGER = ROOT / "data" / "thesis" / "claims.toml"
@@ -54,24 +53,22 @@ def check_claim(chapter, identity, parts, control=None):
             f"claims.toml has no claim '{identity}' in chapter {chapter.number}: it has {', '.join(names)}")
     entry = known[identity]
     judged = _judge_parts(entry, dict.fromkeys(entry["parts"]) | parts)  # in the ledger's order, None where missing
-    verdict, remark = _overall(judged), ""
+    weakest = min((part for part in judged if part["decides"]),
+                  key=lambda part: (VERDICTS.index(part["verdict"]), part["margin"]))  # fmt: skip
+    verdict, remark = weakest["verdict"], ""
     control_verdict, control_parts = _judge_control(entry, control)
     if control_verdict == "holds" and verdict == "holds":
         verdict, remark = "undecided", "the control holds too, so the cause is not shown"
     if PROFILES.index(chapter.profile) < PROFILES.index(entry["profile"]):
         verdict, remark = "not tested", f"needs the profile {entry['profile']}"
-    deciding = [part for part in judged if part["decides"]]
-    weakest = min(deciding, key=lambda part: (VERDICTS.index(part["verdict"]), part["margin"]))
-    row = {key: entry[key] for key in ("id", "chapter", "statement", "source", "kind")}
-    row |= {key: weakest[key] for key in ("thesis", "measured", "interval", "n")}
-    row |= {"test": f"{weakest['label']}: {weakest['test']}", "p": weakest["p"], "verdict": verdict}
-    row |= {"control": entry["control"], "control_verdict": control_verdict, "control_parts": control_parts}
-    row |= {"remark": remark, "tolerance_origin": entry["tolerance_origin"], "stand_in": entry.get("stand_in", "")}
-    row |= {"profile": chapter.profile, "parts": judged}
+    row = {key: entry[key] for key in ("id", "chapter", "statement", "source", "kind", "control", "tolerance_origin")}
+    row |= {key: weakest[key] for key in ("thesis", "measured", "interval", "n", "p")}
+    row |= {"test": f"{weakest['label']}: {weakest['test']}", "verdict": verdict, "remark": remark, "parts": judged}
+    row |= {"control_verdict": control_verdict, "control_parts": control_parts}
+    row |= {"stand_in": entry.get("stand_in", ""), "profile": chapter.profile}
     path = chapter.folder / "claims.json"
-    rows = [old for old in read_json(path, []) if old["id"] in known.keys() - {identity}] + [row]
-    rows.sort(key=lambda row: order(row["id"]))
-    write_atomically(path, json.dumps(rows, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+    rows = [old for old in read_json(path, []) if old["id"] in known.keys() - {identity}]
+    write_json(path, sorted([*rows, row], key=lambda row: order(row["id"])))
     return Claim(**row)
 
 
@@ -87,9 +84,8 @@ def ledger():
     claims = {}
     for row in _read_ledger().get("claim", []):
         where = f"claims.toml: {row.get('id', '(a claim without id)')}"
-        missing, unknown = CLAIM_KEYS - row.keys(), row.keys() - CLAIM_KEYS - {"stand_in"}
+        missing = CLAIM_KEYS - row.keys()
         require(not missing, f"{where} lacks {', '.join(sorted(missing))}")
-        require(not unknown, f"{where} has the unknown key {', '.join(sorted(unknown))}")
         require(row["kind"] in KINDS, f"{where} needs a kind of {KINDS}")
         require(row["profile"] in PROFILES, f"{where} needs a profile of {PROFILES}")
         require(row["id"] not in claims, f"{where} stands there twice")
@@ -117,18 +113,14 @@ def _bounds(part):
     return part.get("at_least", -np.inf), part.get("at_most", np.inf)
 
 
-def _overall(judged):
-    """The verdict of a claim from its judged parts: that of the weakest that decides."""
-    return VERDICTS[min((VERDICTS.index(part["verdict"]) for part in judged if part["decides"]), default=1)]
-
-
 def _judge_control(entry, control):
     if entry["control"].startswith("none: "):
         require(control is None, f"claim {entry['id']} has no control in claims.toml: describe it there first")
         return "none", []
     require(control, f"claim {entry['id']} needs its control ({entry['control']}): hand over control={{...}}")
     judged = _judge_parts(entry, control)
-    return _overall(judged), judged
+    verdicts = [part["verdict"] for part in judged if part["decides"]]
+    return min(verdicts, key=VERDICTS.index, default="undecided"), judged
 
 
 def _judge_parts(entry, samples):

@@ -39,7 +39,6 @@ LOOKS = {
     "STL": Look("#000000", "+", (0, (1, 1.5)), ""),
     "Sinapov et al.": Look("#CC79A7", "v", (0, (5, 1.5, 1, 1.5)), "..."),
     "warm start": Look("#D55E00", "P", "-", "++"),
-    "copied": Look("#999999", "X", (0, (3, 3)), "---"),
     "random": Look("#666666", "1", (0, (1, 3)), "ooo"),
     "random start": Look("#882255", "<", (0, (3, 1, 1, 1)), "..."),
 }
@@ -71,7 +70,7 @@ def legend(fig):
     rows = np.ceil(4.4 * length / (72 * fig.get_figwidth()))
     with plt.rc_context(STYLE):
         fig.legend(entries.values(), entries.keys(), loc="outside upper center", handlelength=3.2, columnspacing=1.4,
-                   ncols=max(1, int(np.ceil(len(entries) / max(1, rows)))))
+                   ncols=int(np.ceil(len(entries) / rows)))
 
 
 def reward_scale(ax):

@@ -18,7 +18,7 @@ from jupyter_client.kernelspec import NoSuchKernel
 from papermill.exceptions import PapermillExecutionError
 
 from .fingerprint import SOURCES, ReproductionError, require
-from .runs import ROOT
+from .runs import ROOT, read_json
 
 COMMON = ("profile", "seeds", "workers", "output_dir")
 ENDINGS = {"F": ("csv", "png", "svg"), "T": ("csv", "md")}
@@ -103,25 +103,20 @@ def made_ids(path: Path) -> dict[str, list[str]]:
         if cell.cell_type == "markdown":
             heading = (re.findall(r"^#+ +(.+)$", cell.source, re.MULTILINE) or [heading])[-1]
         elif cell.cell_type == "code":
-            for identifier in cell_ids(cell.source):
+            for identifier in named_in_calls(cell.source):
                 made.setdefault(identifier, []).append(heading)
     return made
 
 
-def cell_ids(source: str) -> list[str]:
-    """The ids that one cell's source makes."""
-    return _named_in_calls("save_figure|save_table|check_claim", source)
+def named_in_calls(source: str, functions: str = "save_figure|save_table|check_claim") -> list[str]:
+    """The literal second arguments of calls, outside comments; the source need not be Python (a line magic)."""
+    return re.findall(rf"""^[^#\n]*\b(?:{functions})\(\s*\w+,\s*["']([^"']+)["']""", source, re.MULTILINE)
 
 
 def grid_names(path: Path) -> list[str]:
     """The names that the notebook's code gives to its grids, as in `run_grid(chapter, "slopes", ...)`."""
-    code = [cell.source for cell in read_notebook(path).cells if cell.cell_type == "code"]
-    return [name for source in code for name in _named_in_calls("run_grid", source)]
-
-
-def _named_in_calls(functions: str, source: str) -> list[str]:
-    """The literal second arguments of calls, outside comments; the source need not be Python (a line magic)."""
-    return re.findall(rf"""^[^#\n]*\b(?:{functions})\(\s*\w+,\s*["']([^"']+)["']""", source, re.MULTILINE)
+    code = (cell.source for cell in read_notebook(path).cells if cell.cell_type == "code")
+    return named_in_calls("\n".join(code), "run_grid")
 
 
 def missing_results(path: Path, folder: Path, since: float = 0.0) -> list[str]:
@@ -129,7 +124,7 @@ def missing_results(path: Path, folder: Path, since: float = 0.0) -> list[str]:
     def fresh(name: str) -> bool:   # a second's grace: a file system's clock may lag behind ours
         return (folder / name).exists() and (folder / name).stat().st_mtime > since - 1
 
-    found = {row["id"] for row in json.loads((folder / "claims.json").read_text())} if fresh("claims.json") else set()
+    found = {row["id"] for row in read_json(folder / "claims.json", [])} if fresh("claims.json") else set()
     made = made_ids(path)
     found |= {name for name in made if name[0] in ENDINGS and all(fresh(f"{name}.{end}") for end in ENDINGS[name[0]])}
     return [name for name in made if name not in found]
@@ -157,7 +152,7 @@ def execute(path: Path, parameters: dict[str, object], folder: Path, options: di
     except PapermillExecutionError as error:
         errors = [(cell.execution_count, output) for cell in read_notebook(copy).cells
                   for output in cell.get("outputs", []) if output.output_type == "error"]  # fmt: skip
-        count, first = [*errors, (error.exec_count, error)][0]  # papermill names the last
+        count, first = errors[0]  # papermill names the last
         if "plan" not in options or first.ename != "NotStored":
             cause = (first.evalue.strip().splitlines() or ["no message"])[0]
             place = f"{path.name}, cell [{count}]"

@@ -4,38 +4,25 @@ Everything here is made from files that a run left in `figures/latest/<profile>`
 """
 
 import csv
-import json
 import math
 import platform
 import re
 import shutil
-import subprocess
-from importlib import metadata
 from itertools import chain
 from pathlib import Path
 
 from matplotlib.image import imread
 
 from lifelong_lib.reproduction.fingerprint import require, sha256
-from lifelong_lib.reproduction.runs import ROOT, ReproductionError, write_atomically
+from lifelong_lib.reproduction.runs import ROOT, commit, read_json, versions, write_json
 
 VERDICTS = ("holds", "undecided", "contradicted", "not tested")
-ACCEPTED = ("*.csv", "*.png", "*.svg", "*.md")
-PACKAGES = ("numpy", "scipy", "scikit-learn", "torch", "matplotlib", "gymnasium", "rerun-sdk", "joblib", "papermill")
+RESULTS = "[FT]*.*"  # the files of figures and tables
 
 
-def read_json(path: Path, default: object) -> object:
-    """The content of a JSON file, or `default` when there is none; a damaged file raises ReproductionError."""
-    if not path.exists():
-        return default
-    try:
-        return json.loads(path.read_bytes())
-    except ValueError as error:
-        raise ReproductionError(f"{path} is damaged ({error}); delete it and run again") from error
-
-
-def write_json(path: Path, content: object) -> None:
-    write_atomically(path, json.dumps(content, indent=1, sort_keys=True) + "\n")
+def read_grids(folder: Path) -> list[dict]:
+    """What run_grid left in `folder` about each grid."""
+    return [read_json(path, {}) for path in sorted((folder / "runs").glob("*.json"))]
 
 
 def write_provenance(folder: Path, profile: str, parameters: dict[int, dict]) -> None:
@@ -43,28 +30,19 @@ def write_provenance(folder: Path, profile: str, parameters: dict[int, dict]) ->
 
     parameters: the full parameter values of the chapters that were just run; other chapters keep their entry.
     """
-    grids = [read_json(path, {}) for path in sorted((folder / "runs").glob("*.json"))]
+    grids = read_grids(folder)
     chapters = read_json(folder / "provenance.json", {}).get("chapters", {})
     for number, values in parameters.items():
         counts = {grid["name"]: {key: grid[key] for key in ("wanted", "computed", "read", "stale")}
                   for grid in grids if grid["chapter"] == number}
         chapters[f"ch{number:02d}"] = {"parameters": values, "runs": counts}
-    versions = {name: metadata.version(name) for name in PACKAGES}
     write_json(folder / "provenance.json", {
-        "profile": profile, "commit": _commit(), "lock": sha256((ROOT / "environment.txt").read_bytes()),
-        "chapters": chapters, "versions": versions | {"python": platform.python_version()},
+        "profile": profile, "commit": commit(), "lock": sha256((ROOT / "environment.txt").read_bytes()),
+        "chapters": chapters, "versions": versions("matplotlib", "rerun-sdk", "joblib", "papermill"),
         "machine": f"{platform.system()} {platform.machine()}",
     })
     costs = {f"ch{grid['chapter']:02d}/{grid['name']}": grid["seconds_per_run"] for grid in grids}
     write_json(folder / "unit_costs.json", costs)
-
-
-def _commit() -> str:
-    describe = ["git", "-C", str(ROOT), "describe", "--always", "--exclude=*", "--abbrev=40", "--dirty= with changes"]
-    try:
-        return subprocess.run(describe, capture_output=True, text=True, check=True).stdout.strip()
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown (no git history here)"
 
 
 def compare(latest: Path, reference: Path) -> dict:
@@ -135,12 +113,12 @@ def verdict_counts(claims: list[dict]) -> dict[str, int]:
 
 def accept(latest: Path, reference: Path) -> int:
     """Makes the results in `latest` the reference; chapters that are not in `latest` keep theirs. Returns how many."""
-    made = [path for pattern in ACCEPTED for path in sorted(latest.glob(pattern))]
+    made = list(latest.glob(RESULTS))
     require(made, f"there is nothing in {latest} to accept; run `./reproduce.sh run` first")
     claims = read_json(latest / "claims.json", [])
     chapters = {order(name)[1] for name in [path.stem for path in made] + [row["id"] for row in claims]}
     reference.mkdir(parents=True, exist_ok=True)
-    for path in [path for pattern in ACCEPTED for path in reference.glob(pattern)]:
+    for path in list(reference.glob(RESULTS)):
         if order(path.stem)[1] in chapters:
             path.unlink()
     for path in made:

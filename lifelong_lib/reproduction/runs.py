@@ -15,7 +15,6 @@ import platform
 import re
 import subprocess
 import sys
-import zipfile
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -42,7 +41,7 @@ class NotStored(ReproductionError):
 class Chapter:
     """A notebook's parameters.
 
-    Commands pass their checked options backend, address, fresh, plan (a file) and audit (a number) as JSON in the
+    Commands pass their checked options backend, address, fresh, plan and audit (a number) as JSON in the
     variable LIFELONG_OPTIONS; a notebook that was opened by hand has none.
     """
 
@@ -93,17 +92,15 @@ class Results(tuple):
     def stack(self, key: str, **config) -> np.ndarray:
         """One result of the configuration with these entries over all seeds, (n_seeds, ...), seeds ascending.
 
-        Raises ReproductionError unless exactly one configuration fits, and has the key in equal shapes at all seeds.
+        Raises ReproductionError unless exactly one configuration fits, and has the key at all seeds.
         """
-        runs = sorted((run for run in self if config.items() <= run.config.items()), key=lambda run: run.seed)
+        runs = [run for run in self if config.items() <= run.config.items()]
         known = {entry: list(dict.fromkeys(run.config.get(entry) for run in self)) for entry in config}
         require(runs, f"no run has {config}: the runs have {known}")
         fitting = list(dict.fromkeys(_canonical(run.config) for run in runs))
         require(len(fitting) == 1, f"{len(fitting)} configurations fit {config}, e.g. {' and '.join(fitting[:2])}")
-        for run in runs:
-            require(key in run.values, f"no result {key!r} at {fitting[0]}, seed {run.seed}, only {list(run.values)}")
-        shapes = {run.values[key].shape for run in runs}
-        require(len(shapes) == 1, f"result {key!r} at {fitting[0]} has different shapes at different seeds: {shapes}")
+        known = list(runs[0].values)
+        require(all(key in run.values for run in runs), f"no result {key!r} at {fitting[0]}, only {known}")
         return np.stack([run.values[key] for run in runs])
 
 
@@ -126,9 +123,9 @@ def run_grid(chapter: Chapter, name: str, experiment: Callable, configs, seeds=N
     causes = Counter(itertools.chain(*stale.values()))
     grid = {"chapter": chapter.number, "name": name, "makes": list(makes), "wanted": len(tasks), "causes": causes}
     if "plan" in options:
-        _plan(chapter, grid, runs, stale, todo)
+        grid |= _plan(chapter, name, tasks, runs, stale, todo)
     elif "audit" in options:
-        _audit(chapter, name, experiment, tasks, runs, stale)
+        grid["audited"] = _audit(chapter, name, experiment, tasks, runs, stale)
     else:
         runs |= _compute_and_store(chapter, name, experiment, todo, parts)
         if kept:
@@ -137,21 +134,52 @@ def run_grid(chapter: Chapter, name: str, experiment: Callable, configs, seeds=N
         grid |= {"computed": len(todo), "read": len(tasks) - len(todo), "stale": kept}
         grid["seconds_per_run"] = float(np.mean([run.seconds for run in runs.values()]))
         chapter.grids[name] = grid
-        write_atomically(chapter.folder / "runs" / f"{chapter.results.name}-{name}.json", _json(grid))
+    write_json(chapter.folder / "runs" / f"{chapter.results.name}-{name}.json", grid)
+    if "plan" in options and todo:
+        raise NotStored(f"{len(todo)} of {len(tasks)} runs of '{name}' are missing or stale")
     return Results(runs[path] for path in tasks)
 
 
 def run_card(chapter: Chapter) -> str:
     """What a chapter is made with, a line each: profile, seeds, workers, backend, commit, versions; no date."""
-    git, commit = ["git", "-C", str(ROOT), "describe", "--always", "--dirty"], "unknown"
-    with contextlib.suppress(OSError, subprocess.CalledProcessError):
-        commit = subprocess.run(git, capture_output=True, text=True, check=True).stdout.strip()
     card = {"profile": chapter.profile, "seeds": chapter.seeds, "workers": chapter.workers}
-    card |= {"backend": chapter.options.get("backend", "loky"), "commit": commit}
-    card["versions"] = ", ".join(f"{package} {version}" for package, version in _versions().items())
+    card |= {"backend": chapter.options.get("backend", "loky"), "commit": commit()}
+    card["versions"] = ", ".join(f"{package} {version}" for package, version in versions().items())
     if stale := sum(grid["stale"] for grid in chapter.grids.values()):
         card["stale"] = f"{stale} of {sum(grid['wanted'] for grid in chapter.grids.values())} runs"
     return "\n".join(f"{key + ':':10}{value}" for key, value in card.items())
+
+
+def commit() -> str:
+    """The commit that the repository is at, and whether files differ from it."""
+    describe = ["git", "-C", str(ROOT), "describe", "--always", "--exclude=*", "--abbrev=40", "--dirty= with changes"]
+    try:
+        return subprocess.run(describe, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown (no git history here)"
+
+
+def versions(*more: str) -> dict[str, str]:
+    """Of Python, of what learning runs compute with, and of more packages."""
+    found = {"python": platform.python_version()}
+    for package in PACKAGES + more:
+        with contextlib.suppress(metadata.PackageNotFoundError):  # of a simulator that another chapter needs
+            found[package] = metadata.version(package)
+    return found
+
+
+def read_json(path: Path, default: object) -> object:
+    """The content of a JSON file, or `default` when there is none; a damaged file raises ReproductionError."""
+    if not path.exists():
+        return default
+    try:
+        return json.loads(path.read_bytes())
+    except ValueError as error:
+        raise ReproductionError(f"{path} is damaged ({error}); delete it and run again") from error
+
+
+def write_json(path: Path, content: object) -> None:
+    write_atomically(path, json.dumps(content, indent=1, sort_keys=True, allow_nan=False) + "\n")
 
 
 def write_atomically(path: Path, data: bytes | str) -> None:
@@ -170,25 +198,8 @@ def write_atomically(path: Path, data: bytes | str) -> None:
             part.unlink()
 
 
-def _append(path: Path, rows: list[dict]):
-    with path.open("a", encoding="utf-8") as file:
-        file.writelines(json.dumps(row, sort_keys=True) + "\n" for row in rows)
-
-
-def _json(value) -> str:
-    return json.dumps(value, indent=1, sort_keys=True) + "\n"
-
-
 def _warn(message: str):
     print(f"warning: {message}", file=sys.stderr)  # warnings.warn would put this machine's paths into the notebook
-
-
-def _versions() -> dict[str, str]:
-    found = {"python": platform.python_version()}
-    for package in PACKAGES:
-        with contextlib.suppress(metadata.PackageNotFoundError):  # of a simulator that another chapter needs
-            found[package] = metadata.version(package)
-    return found
 
 
 def _whole(value, least: int = 0) -> bool:
@@ -250,25 +261,22 @@ def _read(path, config, seed, keep) -> Run | None:
 def _npz(values) -> bytes:
     """An npz file with the same bytes for the same values: names sorted, no dates, no pickle."""
     buffer = BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
-        for key in sorted(values):
-            with archive.open(zipfile.ZipInfo(f"{key}.npy"), "w", force_zip64=True) as member:
-                np.lib.format.write_array(member, values[key], allow_pickle=False)
+    np.savez(buffer, allow_pickle=False, **dict(sorted(values.items())))
     return buffer.getvalue()
 
 
 def _compute_and_store(chapter, name, experiment, tasks, parts) -> dict[Path, Run]:
     """Compute runs and store each as it comes. A run counts once its record is there: half a pair is never read."""
-    done, versions, title = {}, _versions(), f"{chapter.results.name} {name}"
+    done, installed, title = {}, versions(), f"{chapter.results.name} {name}"
     try:
         with contextlib.closing(_completed(chapter, name, experiment, tasks)) as results, _bar(title, tasks) as bar:
             for path, values, seconds in results:
                 config, seed = tasks[path]
                 data, record = _npz(values), {"chapter": chapter.number, "name": name, "config": config, "seed": seed}
-                record |= {"seconds": seconds, "versions": versions, "fingerprint": parts, "sha256": sha256(data)}
+                record |= {"seconds": seconds, "versions": installed, "fingerprint": parts, "sha256": sha256(data)}
                 path.with_suffix(".json").unlink(missing_ok=True)
                 write_atomically(path, data)
-                write_atomically(path.with_suffix(".json"), _json(record))
+                write_json(path.with_suffix(".json"), record)
                 done[path] = Run(config, seed, values, seconds, parts)
                 bar.update()
     except KeyboardInterrupt:
@@ -285,21 +293,17 @@ def _bar(title, tasks):
     return tqdm(total=len(tasks), desc=title, unit="run", file=stream, disable=not tasks, mininterval=pace)
 
 
-def _plan(chapter, grid, runs, stale, todo):
-    """Append what this grid would compute, and the seconds it would take; NotStored if that is anything."""
-    path = ROOT / "figures" / "reference" / chapter.profile / "unit_costs.json"
-    costs = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-    name = f"{chapter.results.name}/{grid['name']}"
-    each = np.mean([run.seconds for run in runs.values()]) if runs else costs.get(name)
+def _plan(chapter, name, tasks, runs, stale, todo) -> dict:
+    """How much of a grid is stored, and the seconds that the rest would take; None if that is not known."""
+    costs = read_json(ROOT / "figures" / "reference" / chapter.profile / "unit_costs.json", {})
+    each = np.mean([run.seconds for run in runs.values()]) if runs else costs.get(f"{chapter.results.name}/{name}")
     seconds = None if each is None else float(each) * math.ceil(len(todo) / chapter.workers)
-    grid |= {"stored": len(runs) - len(stale), "stale": len(stale), "missing": grid["wanted"] - len(runs)}
-    _append(Path(chapter.options["plan"]), [grid | {"seconds": seconds}])
-    if todo:
-        raise NotStored(f"{len(todo)} of {grid['wanted']} runs of '{grid['name']}' are missing or stale")
+    counts = {"stored": len(runs) - len(stale), "stale": len(stale), "missing": len(tasks) - len(runs)}
+    return counts | {"seconds": seconds}
 
 
-def _audit(chapter, name, experiment, tasks, runs, stale):
-    """Recompute this grid's share of K stored runs drawn from the whole chapter; the verdicts go to audit.jsonl.
+def _audit(chapter, name, experiment, tasks, runs, stale) -> list[dict]:
+    """Recompute this grid's share of K stored runs drawn from the whole chapter; a verdict for each.
 
     Values whose names begin with `seconds` are measured times and not compared.
     """
@@ -309,12 +313,11 @@ def _audit(chapter, name, experiment, tasks, runs, stale):
     drawn, rows = set(np.random.default_rng(number).permutation(files)[:number]), []
     share = {path: task for path, task in tasks.items() if path in drawn}
     for path, values, _ in _completed(chapter, name, experiment, share):
-        old, new = ({key: _npz({"": array}) for key, array in found.items()} for found in (runs[path].values, values))
+        old, new = ({key: _npz({"": array}) for key, array in found.items() if not key.startswith("seconds")}
+                    for found in (runs[path].values, values))  # fmt: skip
         differs = [key for key in sorted(old.keys() | new.keys()) if old.get(key) != new.get(key)]
-        differs = [key for key in differs if not key.startswith("seconds")]
-        row = {"chapter": chapter.number, "name": name, "run": path.stem, "same": not differs, "differs": differs}
-        rows.append(row | {"stale": path in stale})
-    _append(chapter.folder / "audit.jsonl", sorted(rows, key=lambda row: row["run"]))
+        rows.append({"run": f"{name}/{path.stem}", "same": not differs, "differs": differs, "stale": path in stale})
+    return sorted(rows, key=lambda row: row["run"])
 
 
 def _completed(chapter, name, experiment, tasks):

@@ -8,7 +8,8 @@ import re
 from dataclasses import dataclass
 from numbers import Integral, Real
 
-from lifelong_lib.reproduction.runs import ReproductionError, write_atomically
+from lifelong_lib.reproduction.fingerprint import require
+from lifelong_lib.reproduction.runs import write_atomically
 
 
 @dataclass(frozen=True)
@@ -46,14 +47,9 @@ def save_table(chapter, identity, rows):
 
 def readable(value):
     """Return `value` as short text: four figures for a broken number, nothing for None, a dash for nan."""
-    if is_broken(value):
+    if isinstance(value, Real) and not isinstance(value, Integral):
         return "–" if math.isnan(value) else f"{value:.4g}"
     return "" if value is None else " ".join(str(value).split())
-
-
-def is_broken(value):
-    """Return whether `value` is a number that can have a fraction (2.0, but not 2)."""
-    return isinstance(value, Real) and not isinstance(value, Integral)
 
 
 def columns(rows):
@@ -64,19 +60,17 @@ def columns(rows):
 def csv_text(identity, rows):
     """Return `rows` as comma-separated text with the shortest digits that give each float back exactly."""
     nested = [name for row in rows for name, value in row.items() if not isinstance(value, str | Real | None)]
-    if nested or not rows:
-        wrong = f"column '{nested[0]}' holds something else than text or a number" if nested else "there are no rows"
-        raise ReproductionError(f"{identity}: {wrong}; hand over one flat dictionary for each drawn point")
+    mend = "hand over one flat dictionary for each drawn point"
+    require(rows, f"{identity}: there are no rows; {mend}")
+    require(not nested, f"{identity}: column '{', '.join(nested)}' holds more than a text or a number; {mend}")
     text = io.StringIO()
     writer = csv.DictWriter(text, columns(rows), lineterminator="\n")
     writer.writeheader()
-    for row in rows:
-        # float() first: numpy's own numbers would be written with the name of their type.
-        writer.writerow({name: repr(float(v)) if is_broken(v) else v for name, v in row.items()})
+    writer.writerows(rows)
     return text.getvalue()
 
 
 def check_identity(chapter, identity, letter):
     """Raise ReproductionError unless `identity` is a name such as F4.2 that belongs to `chapter`."""
-    if not re.fullmatch(rf"{letter}{chapter.number}\.\d+", identity):
-        raise ReproductionError(f"'{identity}' is no id of this chapter: use {letter}{chapter.number}.1 and so on")
+    message = f"'{identity}' is no id of this chapter: use {letter}{chapter.number}.1 and so on"
+    require(re.fullmatch(rf"{letter}{chapter.number}\.\d+", identity), message)
