@@ -104,14 +104,14 @@ def test_factors_show_every_cell_and_keep_exact_zeros(chapter):
     left, code = np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([[0.5], [0.0]])
     rows = figures.draw_factors(ax, [[("θ", left @ code), ("L", left), ("s", code)]])
     assert [row["value"] for row in rows if row["panel"] == "L"] == [1.0, 2.0, 3.0, 4.0]
-    assert {"0", "0.50", "=", "×"} <= {text.get_text() for text in ax.texts}
+    assert {"0", "0.5", "=", "×"} <= {text.get_text() for text in ax.texts}
 
 
 def test_the_number_of_a_cell_stands_in_the_cell(chapter):
     fig, (ax,) = figures.panels()
     figures.draw_factors(ax, [[("map", np.array([[1.0, -2.0]]))]])
     places = {text.get_text(): text.get_position() for text in ax.texts}
-    assert places["1.00"] == (0.5, 0.5) and places["−2.00"] == (1.5, 0.5)
+    assert places["1.0"] == (0.5, 0.5) and places["−2.0"] == (1.5, 0.5)
 
 
 def test_methods_differ_by_more_than_colour():

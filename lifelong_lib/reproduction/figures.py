@@ -189,6 +189,6 @@ def _draw_cells(ax, matrix, x, y):
     ax.imshow(matrix, cmap="RdBu_r", vmin=-limit, vmax=limit, interpolation="nearest",
               extent=(x, x + width, y + height, y))
     for (i, j), value in np.ndenumerate(matrix) if matrix.size <= 100 else ():
-        text = f"{value:.{2 if abs(value) < 10 else 0}f}".replace("-", "−") if value else "0"
+        text = f"{value:.{1 if abs(value) < 10 else 0}f}".replace("-", "−") if value else "0"
         ax.text(x + j + 0.5, y + i + 0.5, text, color="white" if abs(value) > 0.6 * limit else "black",
                 ha="center", va="center", fontsize=6)
