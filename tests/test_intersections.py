@@ -1,0 +1,288 @@
+"""The junctions: trials, traffic, collisions and what the car sees of them."""
+
+import os
+import subprocess
+import sys
+
+import gymnasium as gym
+import libsumo
+import numpy as np
+import pytest
+from conftest import REPOSITORY
+from gymnasium.utils.env_checker import check_env
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from lifelong_lib.environments import intersections
+from lifelong_lib.environments.intersections import (
+    COLUMN,
+    COLUMNS,
+    FOLDER,
+    GO,
+    LENGTH,
+    ROW,
+    ROWS,
+    SPEED,
+    TASKS,
+    WIDTH,
+    Intersection,
+    grid,
+    overlaps,
+)
+
+each_task = pytest.mark.parametrize("task", TASKS)
+
+
+@pytest.fixture
+def junction():
+    """Makes junctions, and closes the last one."""
+    made = []
+
+    def make(task="left", **more):
+        made.append(Intersection(task, **more))
+        return made[-1]
+
+    yield make
+    for env in made:
+        env.close()
+
+
+def trial(env, seed, actions):
+    """Everything that a trial with these actions gives, until it ends."""
+    seen = [env.reset(seed=seed)]
+    for action in actions:
+        seen.append(env.step(action))
+        if seen[-1][2] or seen[-1][3]:
+            break
+    return seen
+
+
+def digest(seen):
+    return b"".join(step[0].tobytes() for step in seen), [step[1:] for step in seen]
+
+
+# ------------------------------------------------------------------------------------------------------------- trials
+
+@each_task
+def test_gymnasium_finds_nothing_to_complain_of(task, junction):
+    env = gym.make("lifelong_lib/Intersection-v0", task=task)
+    check_env(env.unwrapped, skip_render_check=True)
+    env.close()
+
+
+def test_waiting_ends_after_20_seconds_with_the_discounted_cost_of_every_step(junction):
+    env, steps, seen = junction("challenge"), 0, []
+    env.reset(seed=0)
+    while not seen or not seen[-1][3]:
+        seen.append(env.step(3))
+        took = seen[-1][4]["steps"]
+        assert seen[-1][1] == pytest.approx(-0.01 * (1 - 0.99**took) / 0.01)
+        steps += took
+    assert steps == 100 and [step[4]["steps"] for step in seen] == [8] * 12 + [4]
+    assert seen[-1][4]["outcome"] == "timeout" and not seen[-1][2]
+
+
+@each_task
+def test_a_car_that_goes_blindly_collides_and_not_always(task, junction):
+    env = junction(task, discount=1.0)
+    ends = [trial(env, seed, [GO])[-1] for seed in range(60)]
+    outcomes = [info["outcome"] for *_, info in ends]
+    assert set(outcomes) == {"success", "collision"}
+    assert outcomes.count("collision") >= 6
+    for _, reward, ended, late, info in ends:
+        assert ended and not late
+        assert reward == pytest.approx(-0.01 * info["steps"] + (1 if info["outcome"] == "success" else -1))
+    # From standstill at 2.6 m/s^2, 15 to 45 m take between 3 and 6 seconds.
+    assert all(15 <= info["steps"] <= 30 for *_, info in ends if info["outcome"] == "success")
+
+
+@each_task
+def test_a_waiting_car_changes_nothing_for_the_traffic(task, junction):
+    env, paths = junction(task), []
+    for present in (True, False):
+        env.reset(seed=3)
+        if not present:
+            libsumo.vehicle.remove("ego")
+        paths.append([])
+        for _ in range(60):
+            libsumo.simulationStep()
+            paths[-1].append(env.cars()[1])
+    assert all(np.array_equal(*pair) for pair in zip(*paths, strict=True))
+    assert len(paths[0][-1]) > 0
+
+
+def test_the_same_seed_is_the_same_trial_after_a_thousand_others_and_in_another_process(junction):
+    actions = [1, 3, 2, GO]
+    env = junction("right")
+    first = digest(trial(env, 7, actions))
+    assert first != digest(trial(env, 8, actions))
+    for seed in range(1000):
+        trial(env, seed, [GO])
+    assert digest(trial(env, 7, actions)) == first
+    here = "import hashlib, test_intersections as t; env = t.Intersection('right')\n"
+    here += f"print(hashlib.sha256(repr(t.digest(t.trial(env, 7, {actions}))).encode()).hexdigest())"
+    search = os.pathsep.join([str(REPOSITORY), str(REPOSITORY / "tests")])
+    there = subprocess.run([sys.executable, "-c", here], env=os.environ | {"PYTHONPATH": search}, capture_output=True,
+                           text=True, check=True).stdout  # fmt: skip
+    assert there.split()[-1] == intersections.hashlib.sha256(repr(first).encode()).hexdigest()
+
+
+# ------------------------------------------------------------------------------------------------------------ traffic
+
+@each_task
+def test_cars_are_emitted_as_a_poisson_process_on_every_lane(task, junction):
+    """0.2 a second on each lane, 20 minutes long; counts a minute vary as Poisson counts do."""
+    env = junction(task)
+    env.reset(seed=1)
+    lanes = 2 * {"left2": 2, "challenge": 3}.get(task, 1)
+    counts = {}
+    for minute in range(20):
+        for _ in range(300):
+            libsumo.simulationStep()
+            for name in libsumo.simulation.getDepartedIDList():
+                counts.setdefault(name.rpartition(".")[0], np.zeros(20))[minute] += 1
+    assert len(counts) == lanes
+    for lane in counts.values():
+        assert 0.001 < stats.poisson.cdf(lane.sum(), 20 * 60 * 0.2) < 0.999
+        dispersion = ((lane - lane.mean()) ** 2).sum() / lane.mean()
+        assert 0.0005 < stats.chi2.cdf(dispersion, 19) < 0.9995
+
+
+def test_traffic_keeps_its_distance_and_its_speeds_differ(junction):
+    env = junction("challenge")
+    env.reset(seed=2)
+    speeds = []
+    for _ in range(100):
+        libsumo.simulationStep()
+        _, others = env.cars()
+        speeds.extend(others[:, 3])
+        assert not any(overlaps(car, np.delete(others, i, axis=0)).any() for i, car in enumerate(others))
+    assert 12 < np.mean(speeds) < SPEED * 1.1 and 1 < np.std(speeds) < 6
+
+
+# --------------------------------------------------------------------------------------------------------- collisions
+
+def box(car, n=41):
+    """Points (n * n, 2) all over a car, its edges included."""
+    along, across = np.meshgrid(np.linspace(-LENGTH / 2, LENGTH / 2, n), np.linspace(-WIDTH / 2, WIDTH / 2, n))
+    c, s = np.cos(car[2]), np.sin(car[2])
+    return car[:2] + np.stack([along * c - across * s, along * s + across * c], axis=-1).reshape(-1, 2)
+
+
+def inside(points, car, margin=0.0):
+    c, s = np.cos(car[2]), np.sin(car[2])
+    offset = points - car[:2]
+    ahead, aside = offset @ [c, s], offset @ [-s, c]
+    return ((np.abs(ahead) <= LENGTH / 2 + margin) & (np.abs(aside) <= WIDTH / 2 + margin)).any()
+
+
+def test_no_collision_is_missed_and_none_made_up_in_ten_thousand_trials():
+    """The oracle tries 1,681 points of each car; within its grid of 12 cm it cannot be sure."""
+    rng = np.random.default_rng(0)
+    cars = np.column_stack([rng.uniform(-7, 7, (10_000, 2)), rng.uniform(-4, 4, (10_000, 1)), np.zeros(10_000)])
+    one = np.array([0.0, 0, 0.7, 0])
+    found, points = overlaps(one, cars), box(one)
+    for car, hit in zip(cars, found, strict=True):
+        theirs = box(car)
+        if inside(points, car) or inside(theirs, one):
+            assert hit, car
+        elif hit:
+            assert inside(points, car, 0.13) or inside(theirs, one, 0.13), car
+    assert 0.2 < found.mean() < 0.6
+
+
+angle, metres = st.floats(-4, 4), st.floats(-8, 8)
+
+
+@given(x=metres, y=metres, turn=angle, own=angle, shift=metres, spin=angle)
+@settings(max_examples=200, deadline=None)
+def test_overlap_does_not_depend_on_who_is_asked_nor_on_the_frame(x, y, turn, own, shift, spin):
+    a, b = np.array([0.0, 0, own, 0]), np.array([x, y, turn, 0])
+    hit = overlaps(a, b[None])[0]
+    grown = [overlaps(a, np.array([[x * f, y * f, turn, 0]]))[0] for f in (0.999, 1.001)]
+    if grown[0] == grown[1]:  # not within rounding of touching
+        assert overlaps(b, a[None])[0] == hit
+        c, s = np.cos(spin), np.sin(spin)
+        moved = [np.array([c * p[0] - s * p[1] + shift, s * p[0] + c * p[1], p[2] + spin, 0]) for p in (a, b)]
+        assert overlaps(moved[0], moved[1][None])[0] == hit
+
+
+@each_task
+def test_whatever_sumo_calls_a_collision_is_one_here(task, junction):
+    env, hits = junction(task), 0
+    for seed in range(40):
+        env.reset(seed=seed)
+        libsumo.vehicle.setSpeed("ego", SPEED)
+        ours = theirs = False
+        for _ in range(40):
+            libsumo.simulationStep()
+            outcome = env._outcome()
+            ours |= outcome == "collision"
+            theirs |= any("ego" in (hit.collider, hit.victim) for hit in libsumo.simulation.getCollisions())
+            if outcome == "success":
+                break
+        assert ours or not theirs
+        hits += theirs
+    assert hits > 0
+
+
+# -------------------------------------------------------------------------------------------------------- observations
+
+def test_a_car_stands_in_its_cell_with_heading_speed_and_presence():
+    origin = np.array([100.0, 50.0])
+    cars = np.array([
+        [100 + 0.5 * COLUMN, 50 + 2.5 * ROW, 0.0, SPEED],  # to the right, at the limit
+        [100 - 12.5 * COLUMN, 50 + 17.5 * ROW, np.pi, SPEED / 2],  # to the left
+        [100 + 13.1 * COLUMN, 50 + 2.5 * ROW, 0.0, SPEED],  # too far to the right
+        [100, 50 - 0.1, 0.0, SPEED],  # behind
+    ])  # fmt: skip
+    seen = grid(cars, origin)
+    assert seen.shape == (ROWS, COLUMNS, 3) and seen.dtype == np.float32
+    assert seen[2, 13].tolist() == [1, 1, 1] and seen[17, 0].tolist() == [0, 0.5, 1]
+    assert np.count_nonzero(seen[:, :, 2]) == 2
+    assert not grid(np.zeros((0, 4)), origin).any()
+
+
+def rows_of_traffic(env):
+    rows = set()
+    for seed in range(5):
+        rows |= set(np.flatnonzero(env.reset(seed=seed)[0][:, :, 2].any(axis=1)).tolist())
+        env.close()
+    return rows
+
+
+def test_single_lanes_are_the_same_rows_in_local_coordinates_only(junction):
+    local = {task: rows_of_traffic(junction(task)) for task in TASKS}
+    assert local["right"] == local["left"] == local["forward"] == {4, 5}
+    assert local["left2"] == {4, 5, 6, 7} and local["challenge"] == {4, 5, 6, 7, 8, 9}
+    centred = {task: rows_of_traffic(junction(task, coordinates="global")) for task in TASKS}
+    assert centred["right"] == {8, 9} and centred["challenge"] == {6, 7, 8, 9, 10, 11}
+
+
+# ----------------------------------------------------------------------------------------------------------- bad input
+
+def test_bad_input_is_one_clear_line(junction, tmp_path):
+    with pytest.raises(ValueError, match=r"no junction 'up' in 'local' coordinates; there are right, left, left2"):
+        junction("up")
+    with pytest.raises(ValueError, match=r"no junction 'left' in 'polar' coordinates"):
+        junction("left", coordinates="polar")
+    with pytest.raises(ValueError, match=r"left.net.xml is missing; data/intersections/build.py makes it"):
+        junction("left", folder=tmp_path)
+    for name in ("SHA256SUMS", "left.rou.xml"):
+        (tmp_path / name).write_bytes((FOLDER / name).read_bytes())
+    (tmp_path / "left.net.xml").write_bytes((FOLDER / "challenge.net.xml").read_bytes())
+    with pytest.raises(ValueError, match=r"left.net.xml is not the file that build.py made; run .*build.py again"):
+        junction("left", folder=tmp_path)
+
+
+def test_a_process_holds_one_simulation(junction):
+    first, second = junction("left"), junction("right")
+    first.reset(seed=0)
+    with pytest.raises(RuntimeError, match="one SUMO simulation at a time: close the other environment first"):
+        second.reset(seed=0)
+    first.step(0)
+    first.close()
+    second.reset(seed=0)
+    first.close()  # not its own any more
+    assert second.step(0)[4]["steps"] == 1
