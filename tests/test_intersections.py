@@ -276,6 +276,15 @@ def test_bad_input_is_one_clear_line(junction, tmp_path):
         junction("left", folder=tmp_path)
 
 
+def test_a_trial_that_has_ended_is_not_stepped(junction):
+    env = junction("forward")
+    with pytest.raises(RuntimeError, match="the trial has ended, or was never begun: reset the environment first"):
+        env.step(0)
+    trial(env, 0, [GO])
+    with pytest.raises(RuntimeError, match="the trial has ended"):
+        env.step(GO)
+
+
 def test_a_process_holds_one_simulation(junction):
     first, second = junction("left"), junction("right")
     first.reset(seed=0)

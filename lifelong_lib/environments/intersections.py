@@ -57,6 +57,7 @@ class Intersection(gym.Env):
         self.task, self.coordinates, self.discount = task, coordinates, discount
         self.observation_space = gym.spaces.Box(0, 3, (ROWS, COLUMNS, 3), np.float32)
         self.action_space = gym.spaces.Discrete(GO + 1)
+        self._ended = True
         self._files = {kind: checked(Path(folder) / f"{task}.{kind}.xml") for kind in ("net", "rou")}
 
     def reset(self, *, seed: int | None = None, options: dict | None = None):
@@ -71,7 +72,7 @@ class Intersection(gym.Env):
         libsumo.vehicle.setSpeed("ego", 0)
         libsumo.junction.subscribeContext("centre", constants.CMD_GET_VEHICLE_VARIABLE, 130, READ)
         libsumo.simulationStep()
-        self.steps = 0
+        self.steps, self._ended = 0, False
         if self.coordinates == "local":
             self._origin = np.subtract(libsumo.vehicle.getPosition("ego"), (0, ROWS_BEHIND * ROW))
         else:
@@ -80,6 +81,8 @@ class Intersection(gym.Env):
 
     def step(self, action):
         """Wait or go: (observation, discounted reward of the steps that it took, terminated, truncated, info)."""
+        if self._ended:
+            raise RuntimeError("the trial has ended, or was never begun: reset the environment first")
         before, outcome, going = self.steps, "", action == GO
         if going:
             libsumo.vehicle.setSpeed("ego", SPEED)
@@ -89,6 +92,7 @@ class Intersection(gym.Env):
             self.steps += 1
             outcome = self._outcome() if going else ""  # nobody drives into a car behind its line
         late = self.steps == MAX_STEPS and not outcome
+        self._ended = late or bool(outcome)
         took = self.steps - before
         rewards = [REWARDS[""]] * (took - 1) + [REWARDS[outcome]]
         reward = float(np.dot(rewards, self.discount ** np.arange(took)))
