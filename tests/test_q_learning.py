@@ -125,8 +125,8 @@ def test_it_learns_a_world_that_cannot_fail_and_a_random_network_does_not():
     seen = one.train(env, 400, every=200, look=rate)
     assert len(seen) == 3 and seen[0] < 0.6 and seen[-1] == 1.0
     values = one.network(torch.from_numpy(np.stack([env.reset(seed=s)[0] for s in range(20)])))
-    # An image does not tell the first step from the last: the mean of 1 + 0.99 * 0.95 (a twentieth of actions is random,
-    # and half of those are right) and 1.
+    # An image does not tell the first step from the last: the mean of 1 + 0.99 * 0.95 (a twentieth of actions is
+    # random, and half of those are right) and 1.
     expected = (1 + 0.99 * 0.95 + 1) / 2
     assert torch.allclose(values.max(dim=1).values, torch.tensor(expected), atol=0.1)
     assert one.iterations == 400
