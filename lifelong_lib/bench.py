@@ -32,7 +32,8 @@ class Row(NamedTuple):
 def main() -> list[Row]:
     """Measure, print a line a promise, and return the rows."""
     load, rows = os.getloadavg()[0], []
-    for row in chain(batched_roll_outs(), many_tasks(), dense_inverse("full", 3), dense_inverse("identity", 10)):
+    ella = many_tasks(), dense_inverse("full", 3), dense_inverse("identity", 10)
+    for row in chain(batched_roll_outs(), *ella, junction(), q_update(), q_learning()):
         rows.append(row)
         print(f"{'ok' if row.ok else 'MISSED':7}{row.measured:<9.3g}{row.bound} {row.limit:<6g} {row.what}", flush=True)
     advice = "; the machine was loaded: measure again when nothing else runs" * (load > 0.5)
@@ -114,3 +115,74 @@ def dense_inverse(hessians: str, limit: float, tasks: int = 40, columns: int = 1
     ours, theirs = medians(repetitions, *(partial(learner.partial_fit, 0, *known[0]) for learner in (fast, dense)))
     yield Row(f"ELLA, {hessians} Hessians: an update against the dense inverse", theirs / ours, "at least", limit)
     yield Row(f"ELLA, {hessians} Hessians: difference from the dense inverse", difference, "at most", 1e-8)
+
+
+def junction(repetitions: int = 20):
+    """A trial in SUMO of 100 waits of one step, each observed, against a simulation of as many steps left unread."""
+    from lifelong_lib.environments.intersections import MAX_STEPS, WARM_UP, Intersection
+
+    env = Intersection("challenge")
+
+    def trial():
+        env.reset(seed=1)
+        while not env.step(0)[3]:
+            pass
+    bare, ours = medians(repetitions, lambda: env.simulate(1, WARM_UP + 2 + MAX_STEPS), trial)
+    env.close()
+    yield Row("SUMO: steps a second, observed, against the bare simulation", bare / ours, "at least", 0.8)
+
+
+def q_update(repetitions: int = 200):
+    """An update of 60 experiences against the matrix products of its layers, forwards and backwards."""
+    import torch
+
+    from lifelong_lib.learners.q_learning import DQN, QNetwork, ReplayBuffer
+
+    torch.set_num_threads(1)
+    learner, buffer, batch = DQN(QNetwork(5), np.random.SeedSequence(0)), ReplayBuffer(1000, (18, 26, 3)), 60
+    for i in range(1000):
+        buffer.add(np.random.default_rng(i).random((18, 26, 3)), i % 5, 0.0)
+    sizes = [(batch * 7 * 11, 6 * 6 * 3, 32), (batch * 3 * 5, 3 * 3 * 32, 64), (batch, 960, 100), (batch, 100, 5)]
+    layers = [(torch.rand(n, i), torch.rand(i, o), torch.rand(n, o)) for n, i, o in sizes]
+
+    def products():
+        for place, (inputs, weights, errors) in enumerate(layers):
+            inputs @ weights, inputs.T @ errors
+            if place:  # nothing is passed back to the image
+                errors @ weights.T
+    bare, ours = medians(repetitions, products, lambda: learner.update(buffer))
+    yield Row("DQN: an update against the matrix products that it needs", ours / bare, "at most", 2)
+
+
+def q_learning(iterations: int = 300, repetitions: int = 3):
+    """Decision, environment and update against Stable-Baselines3's DQN: same network, batch, buffer and junction."""
+    import torch
+    from stable_baselines3 import DQN as Theirs
+    from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+
+    from lifelong_lib.environments.intersections import Intersection
+    from lifelong_lib.learners.q_learning import DQN, QNetwork
+
+    network = QNetwork(5)
+
+    class Features(BaseFeaturesExtractor):
+        def __init__(self, space):
+            super().__init__(space, 100)
+            self.layers = network.layers[:-1]
+
+        def forward(self, images):
+            return self.layers(images.permute(0, 3, 1, 2))
+
+    torch.set_num_threads(1)
+    env = Intersection("left")
+    ours = DQN(network, np.random.SeedSequence(0), rate=0.0)  # what is learned would make trials longer or shorter
+    rmsprop = {"optimizer_class": torch.optim.RMSprop, "optimizer_kwargs": {"alpha": 0.95, "eps": 0.01}}
+    policy = {"features_extractor_class": Features, "net_arch": []} | rmsprop
+    theirs = Theirs("MlpPolicy", env, ours.rate, ours.capacity, learning_starts=1, batch_size=ours.batch, train_freq=1,
+                    gradient_steps=1, policy_kwargs=policy, exploration_initial_eps=ours.epsilon,
+                    exploration_final_eps=ours.epsilon, device="cpu", seed=0)  # fmt: skip
+    theirs.q_net.q_net[0].load_state_dict(network.layers[-1].state_dict())
+    ours.train(env, 1)  # fills the buffer
+    alone, other = medians(repetitions, lambda: ours.train(env, iterations), lambda: theirs.learn(iterations))
+    env.close()
+    yield Row("DQN: decision, environment and update against Stable-Baselines3", other / alone, "at least", 2)

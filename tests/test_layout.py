@@ -18,7 +18,7 @@ LIBRARY = REPOSITORY / "lifelong_lib"
 SOURCES = sorted(LIBRARY.rglob("*.py"))
 NOTEBOOKS = find_notebooks(REPOSITORY / "notebooks")
 # The plan was 2,900 after chapters 2 and 4, which have 3,341: a debt, not a licence. Chapter 5 brings the rest.
-LINES = 3700
+LINES = 3800
 
 # May import from: None = anything of the library. A module that is not listed falls under its package.
 ALLOWED = {

@@ -63,9 +63,7 @@ class Intersection(gym.Env):
     def reset(self, *, seed: int | None = None, options: dict | None = None):
         """Begin a trial with traffic of its own; the same ``seed`` gives the same trial in every process."""
         super().reset(seed=seed)
-        self._load(int(self.np_random.integers(2**31)))
-        for _ in range(WARM_UP):
-            libsumo.simulationStep()
+        self.simulate(int(self.np_random.integers(2**31)), WARM_UP)
         libsumo.vehicle.add("ego", "ego", typeID="ego", departPos="last", departSpeed="0")
         libsumo.simulationStep()
         libsumo.vehicle.setSpeedMode("ego", SPEED_MODE)
@@ -116,7 +114,8 @@ class Intersection(gym.Env):
             libsumo.close()
             _running = None
 
-    def _load(self, seed: int) -> None:
+    def simulate(self, seed: int, steps: int) -> None:
+        """Load the junction with SUMO's own ``seed`` and let the traffic drive for so many steps, without the ego."""
         global _running
         if _running not in (None, self):
             raise RuntimeError("a process holds one SUMO simulation at a time: close the other environment first")
@@ -127,6 +126,8 @@ class Intersection(gym.Env):
         else:
             libsumo.start(["sumo", *words])
         _running = self
+        for _ in range(steps):
+            libsumo.simulationStep()
 
     def _outcome(self) -> str:
         own, others = self.cars()
