@@ -1,6 +1,7 @@
 """Where a run is computed: alone, isolated, on one thread, stopped cleanly, and named when it fails."""
 
 import contextlib
+import gc
 import json
 import os
 import re
@@ -88,6 +89,18 @@ def test_values_that_are_no_arrays_are_refused_by_name(values, key):
 def test_an_absent_dask_scheduler_is_one_line():
     with pytest.raises(ReproductionError, match="no Dask scheduler answers at nowhere"):
         run(lambda config, seed: {"x": 1}, [{}], backend="dask", address="nowhere")
+
+
+def test_a_client_that_found_no_scheduler_is_not_left_to_the_garbage_collector():
+    from distributed import Client  # slow to import
+
+    gc.disable()
+    try:
+        with pytest.raises(ReproductionError, match="no Dask scheduler"):
+            run(lambda config, seed: {"x": 1}, [{}], backend="dask", address="nowhere")
+        assert not [thing for thing in gc.get_objects() if type(thing) is Client]
+    finally:
+        gc.enable()
 
 
 def test_a_dask_scheduler_that_cannot_import_the_library_is_one_line(tmp_path):

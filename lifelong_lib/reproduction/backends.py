@@ -4,6 +4,7 @@ All three do the same with a run, so that its numbers cannot depend on the place
 """
 
 import contextlib
+import gc
 import os
 import re
 import signal
@@ -106,10 +107,12 @@ def _dask(address):
     """The cluster at the given address."""
     from distributed import Client, KilledWorker  # slow to import, and rarely wanted
 
-    try:
+    client = None
+    with contextlib.suppress(OSError, ValueError):
         client = Client(address, timeout=10)
-    except (OSError, ValueError) as error:
-        raise ReproductionError(f"no Dask scheduler answers at {address}: start it, or use loky") from error
+    if client is None:
+        gc.collect()  # found only while the next client starts, the failed one would make that wait forever
+        raise ReproductionError(f"no Dask scheduler answers at {address}: start it, or use loky")
     with client:
         threads = client.nthreads()
         message = f"Dask at {address}: start workers with --nthreads 1, it has {set(threads.values()) or 'none'}"
