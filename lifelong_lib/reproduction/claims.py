@@ -84,8 +84,9 @@ def ledger():
     claims = {}
     for row in _read_ledger().get("claim", []):
         where = f"claims.toml: {row.get('id', '(a claim without id)')}"
-        missing = CLAIM_KEYS - row.keys()
+        missing, unknown = CLAIM_KEYS - row.keys(), row.keys() - CLAIM_KEYS - {"stand_in"}
         require(not missing, f"{where} lacks {', '.join(sorted(missing))}")
+        require(not unknown, f"{where} has the unknown key {', '.join(sorted(unknown))}")
         require(row["kind"] in KINDS, f"{where} needs a kind of {KINDS}")
         require(row["profile"] in PROFILES, f"{where} needs a profile of {PROFILES}")
         require(row["id"] not in claims, f"{where} stands there twice")
