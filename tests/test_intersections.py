@@ -283,6 +283,11 @@ def test_a_trial_that_has_ended_is_not_stepped(junction):
     trial(env, 0, [GO])
     with pytest.raises(RuntimeError, match="the trial has ended"):
         env.step(GO)
+    for end in (lambda: env.simulate(0, 1), env.close):
+        env.reset(seed=0)
+        end()
+        with pytest.raises(RuntimeError, match="the trial has ended"):
+            env.step(0)
 
 
 def test_a_process_holds_one_simulation(junction):

@@ -110,6 +110,7 @@ class Intersection(gym.Env):
     def close(self):
         """Set this process's simulation free for another environment."""
         global _running
+        self._ended = True
         if _running is self:
             libsumo.close()
             _running = None
@@ -125,7 +126,7 @@ class Intersection(gym.Env):
             libsumo.load(words)
         else:
             libsumo.start(["sumo", *words])
-        _running = self
+        _running, self._ended = self, True  # there is no ego car to decide for
         for _ in range(steps):
             libsumo.simulationStep()
 
