@@ -16,7 +16,8 @@ from libsumo import constants
 FOLDER = Path(__file__).resolve().parents[2] / "data" / "intersections"
 TASKS = {"right": "to_east", "left": "to_west", "left2": "to_west", "forward": "to_north", "challenge": "to_north"}
 STEP_SECONDS, MAX_STEPS = 0.2, 100  # a trial lasts 20 s at most
-WARM_UP = 100  # steps of traffic before a trial, until there are cars all along the 250 m of each road
+WARM_UP = 150  # steps of traffic before the first trial, until there are cars all along the 250 m of each road
+PAUSE = 50  # steps between trials of one simulation, after which the cars near the junction are other ones
 WAITS = (1, 2, 4, 8)  # steps; the last action is to go
 GO = len(WAITS)
 SPEED = 20.0  # [m/s] limit on the roads, and the unit of the speed channel
@@ -61,9 +62,17 @@ class Intersection(gym.Env):
         self._files = {kind: checked(Path(folder) / f"{task}.{kind}.xml") for kind in ("net", "rou")}
 
     def reset(self, *, seed: int | None = None, options: dict | None = None):
-        """Begin a trial with traffic of its own; the same ``seed`` gives the same trial in every process."""
+        """Begin a trial: with a ``seed`` in traffic of its own, the same in every process; without, 10 s later.
+
+        The traffic of the trial before then drives on, which takes a fraction of the time of new traffic.
+        """
         super().reset(seed=seed)
-        self.simulate(int(self.np_random.integers(2**31)), WARM_UP)
+        if seed is not None or _running is not self:
+            self.simulate(int(self.np_random.integers(2**31)), WARM_UP)
+        else:
+            if "ego" in libsumo.vehicle.getIDList():
+                libsumo.vehicle.remove("ego")
+            self._drive_on(PAUSE)
         libsumo.vehicle.add("ego", "ego", typeID="ego", departPos="last", departSpeed="0")
         libsumo.simulationStep()
         libsumo.vehicle.setSpeedMode("ego", SPEED_MODE)
@@ -104,8 +113,8 @@ class Intersection(gym.Env):
         """
         found = libsumo.junction.getContextSubscriptionResults("centre")
         own = [found.pop("ego")] if "ego" in found else []
-        return tuple(poses([(*car[READ[0]], car[READ[1]], car[READ[2]]) for car in cars])
-                     for cars in (own, found.values()))  # fmt: skip
+        cars = poses([(*car[READ[0]], car[READ[1]], car[READ[2]]) for car in (*own, *found.values())])
+        return cars[: len(own)], cars[len(own) :]
 
     def close(self):
         """Set this process's simulation free for another environment."""
@@ -127,6 +136,9 @@ class Intersection(gym.Env):
         else:
             libsumo.start(["sumo", *words])
         _running, self._ended = self, True  # there is no ego car to decide for
+        self._drive_on(steps)
+
+    def _drive_on(self, steps):
         for _ in range(steps):
             libsumo.simulationStep()
 

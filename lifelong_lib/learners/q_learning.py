@@ -40,6 +40,17 @@ class QNetwork(nn.Module):
         with torch.inference_mode():
             return int(self(torch.from_numpy(image)[None])[0].argmax())
 
+    def get_weights(self) -> np.ndarray:
+        """All weights, layer after layer (n,)."""
+        return nn.utils.parameters_to_vector(self.parameters()).detach().numpy().copy()
+
+    def set_weights(self, weights: np.ndarray) -> None:
+        """Take over what `get_weights` gave; raises ValueError for those of a network of another shape."""
+        needed = sum(part.numel() for part in self.parameters())
+        if np.shape(weights) != (needed,):
+            raise ValueError(f"this network has {needed} weights; those given have shape {np.shape(weights)}")
+        nn.utils.vector_to_parameters(torch.tensor(weights, dtype=torch.float32), self.parameters())
+
 
 class ReplayBuffer:
     """The latest ``capacity`` experiences: image, action and return. Older ones are overwritten."""
@@ -104,14 +115,15 @@ class DQN:
     def train(self, env, iterations: int, every: int = 0, look: Callable = lambda: None) -> list:
         """Train for so many iterations; return what ``look()`` gave at the start and every ``every`` iterations.
 
-        ``look`` is called between trials, as the process may hold one simulation only and it may use ``env``. A trial
-        that is under way when the iterations are over is finished, without updates. Raises Diverged when a loss is not
-        below 10,000, the hundredfold of any return squared.
+        ``look`` is called between trials, as the process may hold one simulation only and it may use ``env``; ``env``
+        is seeded at the start and after each look. A trial that is under way when the iterations are over is finished,
+        without updates. Raises Diverged when a loss is not below 10,000, the hundredfold of any return squared.
         """
         buffer = self.buffer = self.buffer or ReplayBuffer(self.capacity, env.observation_space.shape)
         seen, end, looks = [look()] if every else [], self.iterations + iterations, 1
+        seed = int(self._trials.integers(2**31))
         while self.iterations < end:
-            image, trial, ended = env.reset(seed=int(self._trials.integers(2**31)))[0], [], False
+            image, trial, ended, seed = env.reset(seed=seed)[0], [], False, None
             while not ended:
                 explores = self._choices.random() < self.epsilon
                 action = int(self._choices.integers(env.action_space.n)) if explores else self.network.best(image)
@@ -126,7 +138,7 @@ class DQN:
                 buffer.add(*experience)
             if every and self.iterations >= end - iterations + looks * every:
                 seen.append(look())
-                looks += 1
+                looks, seed = looks + 1, int(self._trials.integers(2**31))
         return seen
 
     def update(self, buffer: ReplayBuffer) -> float:

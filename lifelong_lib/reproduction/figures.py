@@ -41,6 +41,17 @@ LOOKS = {
     "warm start": Look("#D55E00", "P", "-", "++"),
     "random": Look("#666666", "1", (0, (1, 3)), "ooo"),
     "random start": Look("#882255", "<", (0, (3, 1, 1, 1)), "..."),
+    # chapter 5: where a network was trained first, and what became of it
+    "right": Look("#0072B2", "o", "-", ""),
+    "left": Look("#E69F00", "D", (0, (5, 1.5)), "xxx"),
+    "left2": Look("#009E73", "^", (0, (5, 1.5, 1, 1.5)), "///"),
+    "forward": Look("#56B4E9", "s", (0, (1, 1)), "..."),
+    "challenge": Look("#D55E00", "v", (0, (3, 1, 1, 1)), "++"),
+    "single task": Look("#000000", "x", "-", ""),
+    "direct copy": Look("#BBBBBB", "o", (0, (1, 1.5)), ""),
+    "reverse transfer": Look("#666666", "s", (0, (5, 1.5)), "///"),
+    "pre-trained": Look("#0072B2", "o", "-", ""),
+    "from scratch": Look("#E69F00", "D", (0, (5, 1.5)), "xxx"),
 }
 STYLE = {
     "font.family": "DejaVu Sans", "font.size": 8, "axes.titlesize": 9, "axes.titleweight": "bold",
