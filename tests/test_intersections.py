@@ -128,6 +128,31 @@ def test_the_same_seed_is_the_same_trial_after_a_thousand_others_and_in_another_
     assert there.split()[-1] == intersections.hashlib.sha256(repr(first).encode()).hexdigest()
 
 
+def test_without_a_seed_the_same_traffic_drives_on_and_so_does_the_order_of_chance(junction):
+    env = junction("left2")
+
+    def three():
+        return [digest(trial(env, seed, [1, GO])) for seed in (5, None, None)]
+
+    first = three()
+    assert first == three() and len({repr(found) for found in first}) == 3
+    env.reset(seed=5)
+    ids = set(libsumo.vehicle.getIDList())
+    env.step(GO)
+    env.reset()
+    assert "ego" in libsumo.vehicle.getIDList() and ids & set(libsumo.vehicle.getIDList()) > {"ego"}
+    assert libsumo.vehicle.getSpeed("ego") == 0 and env.steps == 0
+
+
+@pytest.mark.parametrize("task", ["right", "challenge"])
+def test_trials_with_and_without_a_seed_are_equally_hard(task, junction):
+    env, counts = junction(task), []
+    for seeded in (True, False):
+        ends = [trial(env, k if seeded or k == 0 else None, [3, GO])[-1][4]["outcome"] for k in range(250)]
+        counts.append([ends.count("success"), ends.count("collision")])
+    assert stats.fisher_exact(counts).pvalue > 0.001
+
+
 # ------------------------------------------------------------------------------------------------------------ traffic
 
 @each_task

@@ -65,6 +65,33 @@ def test_a_seed_draws_the_weights_and_leaves_the_generator_of_torch_alone():
     assert torch.equal(torch.random.get_rng_state(), before)
 
 
+def test_weights_come_back_and_those_of_another_shape_are_refused():
+    one, other = QNetwork(5, seed=1), QNetwork(5, seed=2)
+    given = one.get_weights()
+    assert given.shape == (118_589,) and given.tobytes() == weights(one)
+    other.set_weights(given)
+    given[:] = 0
+    assert weights(other) == weights(one)
+    with pytest.raises(ValueError, match=r"this network has 118589 weights; those given have shape \(118488,\)"):
+        one.set_weights(QNetwork(4).get_weights())
+    with pytest.raises(ValueError, match=r"those given have shape \(2, 118589\)"):
+        one.set_weights(np.zeros((2, 118_589)))
+
+
+def test_an_environment_is_seeded_at_the_start_and_after_each_look_only():
+    seeds = []
+
+    class Counted(Lamp):
+        def reset(self, *, seed=None, options=None):
+            seeds.append(seed)
+            return super().reset(seed=seed)
+
+    learner().train(Counted(), 40, every=20, look=lambda: seeds.append("look"))
+    given = [i for i, seed in enumerate(seeds) if isinstance(seed, int)]
+    assert given == [i + 1 for i, seed in enumerate(seeds[:-1]) if seed == "look"] and len(given) == 2
+    assert len({seeds[i] for i in given}) == 2 and seeds.count("look") == 3
+
+
 def test_dropout_acts_in_training_only():
     network, image = QNetwork(2, SHAPE, dropout=0.5), torch.ones(1, *SHAPE)
     network.train()

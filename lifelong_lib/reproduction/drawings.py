@@ -74,12 +74,14 @@ def draw_image(ax, image, x, y):
 
 
 def draw_junction(ax, lanes, cars, size, lane_width=3.2):
-    """Draw lanes in grey and cars on them from above, the first one as the own car.
+    """Draw lanes (or tracks) in grey and cars on them from above, the first one as the own car.
 
     `lanes`: list of polylines (n, 2) [m]; `cars`: (n, 4) x, y, heading [rad], speed [m/s]; `size`: (length, width) [m].
     """
     rows = [{"panel": ax.get_title(), "car": "own" if i == 0 else "other", "x": float(x), "y": float(y),
              "heading": float(heading), "speed": float(speed)} for i, (x, y, heading, speed) in enumerate(cars)]
+    rows += [{"panel": ax.get_title(), "car": f"line {i}", "x": float(x), "y": float(y)}
+             for i, line in enumerate(lanes) for x, y in line]  # fmt: skip
     corners = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) * np.array(size) / 2
     turns = np.array([[[np.cos(a), np.sin(a)], [-np.sin(a), np.cos(a)]] for a in cars[:, 2]])
     colours = [OWN] + [OTHER] * (len(cars) - 1)

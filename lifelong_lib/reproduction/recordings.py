@@ -42,6 +42,9 @@ class Scene:
     boxes: {name: (centres (H+1, 3), half sizes (3,), rotations (H+1, 4) as quaternions xyzw, or None)}.
     series: {name: (H+1,)}, values over time.
     fixed: {name: (n >= 2, 3)}, grey polylines that stay: a rail, a target.
+    crowds: {name: (centres (H+1, n, 3), half sizes (3,), rotations (H+1, n, 4))}, dark boxes that are not the subject.
+    images: {name: (H+1, rows, columns, 3)} from 0 to 1, row 0 below: what the subject sees.
+    moment: of which the still picture shows crowds and images, as they would hide each other.
     outcome: a few words for the title, such as "falls after 0.8 s".
     """
 
@@ -50,13 +53,14 @@ class Scene:
     boxes: dict = field(default_factory=dict)
     series: dict = field(default_factory=dict)
     fixed: dict = field(default_factory=dict)
+    crowds: dict = field(default_factory=dict)
+    images: dict = field(default_factory=dict)
+    moment: int = 0
     outcome: str = ""
 
     def faces(self):
         """The six faces (H+1, 6, 4, 3) of every box."""
-        for centres, half_sizes, rotations in self.boxes.values():
-            turns = np.eye(3) if rotations is None else Rotation.from_quat(rotations).as_matrix()
-            yield (_CORNERS * half_sizes @ np.swapaxes(turns, -1, -2) + np.asarray(centres)[:, None])[:, _FACES]
+        yield from (_faces(*box) for box in self.boxes.values())
 
     def points(self):
         """Every point (H+1, n, 3) that moves."""
@@ -64,14 +68,20 @@ class Scene:
         return np.concatenate([points.reshape(len(points), -1, 3) for points in moving], axis=1)
 
 
+def _faces(centres, half_sizes, rotations):
+    turns = np.eye(3) if rotations is None else Rotation.from_quat(rotations).as_matrix()
+    return (_CORNERS * half_sizes @ np.swapaxes(turns, -1, -2) + np.asarray(centres)[..., None, :])[..., _FACES, :]
+
+
 def save_recording(chapter: Chapter, name: str, scenes: dict[str, Scene], seconds_per_step: float,
-                   series_units: dict[str, str], caption: str, seen_from: tuple = (0, -1, 0)) -> Path:
+                   series_units: dict[str, str], caption: str, seen_from: tuple = (0, -1, 0), window=None) -> Path:
     """Write `<chapter.folder>/recordings/<name>.rrd`, verified by rerun, and a still picture `<name>.png` beside it.
 
     scenes: {title: Scene}, equally long, with the same series; shown side by side on one timeline of simulated seconds.
     series_units: {series name: unit}; one plot over time each, with one line a scene.
     caption: what one should see, and what in it is a stand-in.
     seen_from: direction from the scene towards the viewer, not vertical; (0, -1, 0): x to the right, z upwards.
+    window: (low (3,), high (3,)) [m], corners of what the views show; None: where the subject moves.
 
     Returns the path of the .rrd. Raises ReproductionError for scenes that cannot be drawn (wrong shapes, values that
     are not finite) and when the files cannot be written; an earlier recording of this name then stays as it was.
@@ -82,7 +92,8 @@ def save_recording(chapter: Chapter, name: str, scenes: dict[str, Scene], second
     require(0 < np.hypot(*seen_from[:2]) < np.inf, f"{where}: seen_from is {seen_from}; give one that is not vertical")
     require(scenes and series_units, f"{where}: give at least one scene, {{title: Scene(...)}}, and one series")
     _check(where, scenes, series_units)
-    shown = (scenes, seconds_per_step, series_units, caption, np.array(seen_from) / np.linalg.norm(seen_from))
+    corners = np.array(list(itertools.product(*np.transpose(window)))) if window else None
+    shown = (scenes, seconds_per_step, series_units, caption, np.array(seen_from) / np.linalg.norm(seen_from), corners)
     path = chapter.folder / "recordings" / f"{name}.rrd"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -126,6 +137,10 @@ def _check(where, scenes, series_units):
         for key, (centres, half_sizes, turns) in scene.boxes.items():
             arrays += [(f"centres of box {key!r}", centres, "H+1", 3), (f"half sizes of box {key!r}", half_sizes, 3)]
             arrays += [] if turns is None else [(f"rotations of box {key!r}", turns, "H+1", 4)]
+        for key, (centres, half_sizes, turns) in scene.crowds.items():
+            arrays += [(f"centres of crowd {key!r}", centres, "H+1", "n", 3), (f"half sizes of {key!r}", half_sizes, 3)]
+            arrays += [(f"rotations of crowd {key!r}", turns, "H+1", "n", 4)]
+        arrays += [(f"image {key!r}", values, "H+1", "n", "n", 3) for key, values in scene.images.items()]
         for what, values, *wanted in arrays:
             try:
                 array = np.asarray(values, dtype=float)
@@ -141,19 +156,21 @@ def _check(where, scenes, series_units):
                     f"{here}, {what}: not finite at row {min(bad_rows, default='')}; end all roll-outs before that")
 
 
-def _window(points):
+def _window(points, corners=None):
     """Low and high corner (d,) of what the views show of points (H+1, n, d): not what goes far beyond the start."""
+    if corners is not None:
+        return corners.min(axis=0), corners.max(axis=0)
     low, high = points[0].min(axis=0), points[0].max(axis=0)
     reach = _REACH * (high - low).max() or np.inf  # a point has no size
     return np.maximum(points.min(axis=(0, 1)), low - reach), np.minimum(points.max(axis=(0, 1)), high + reach)
 
 
-def _write_recording(path, name, scenes, seconds_per_step, series_units, caption, backwards):
+def _write_recording(path, name, scenes, seconds_per_step, series_units, caption, backwards, corners):
     moments = len(next(iter(scenes.values())).points())
     times = [rr.TimeColumn("time", duration=np.arange(moments) * seconds_per_step)]
     # Only send_columns: rows logged one by one are cut into chunks by the wall clock, and no two files compare equal.
     with rr.RecordingStream(f"lifelong_lib {name}", send_properties=False) as recording:
-        recording.save(path, default_blueprint=_layout(name, scenes, series_units, backwards))
+        recording.save(path, default_blueprint=_layout(name, scenes, series_units, backwards, corners))
 
         def send(kind, *names, static, moving=None):
             entity = "/".join(["", kind, *map(rr.escape_entity_path_part, names)])
@@ -173,15 +190,27 @@ def _write_recording(path, name, scenes, seconds_per_step, series_units, caption
             for key, (centres, half_sizes, turns) in scene.boxes.items():
                 send("scenes", title, "boxes", key, moving=rr.Boxes3D.columns(centers=centres, quaternions=turns),
                      static=rr.Boxes3D.columns(half_sizes=[half_sizes], colors=colour, fill_mode=["solid"]))
+            for key, (centres, half_sizes, turns) in scene.crowds.items():
+                count = [len(centres[0])]
+                boxes = rr.Boxes3D.columns(centers=np.reshape(centres, (-1, 3)), quaternions=np.reshape(turns, (-1, 4)))
+                look = rr.Boxes3D.columns(half_sizes=[half_sizes] * count[0], fill_mode=["solid"] * count[0])
+                send("scenes", title, "crowds", key, moving=boxes.partition(count * moments),
+                     static=look.partition(count))
+            for key, values in scene.images.items():
+                pixels = np.round(255 * np.clip(values, 0, 1)).astype(np.uint8)[:, ::-1]
+                kind = rr.components.ImageFormat(width=pixels.shape[2], height=pixels.shape[1], color_model="RGB",
+                                                 channel_datatype="U8")  # fmt: skip
+                send("images", title, key, static=rr.Image.columns(format=[kind]),
+                     moving=rr.Image.columns(buffer=pixels.reshape(moments, -1)))
             for key, values in scene.series.items():
                 send("series", key, title, moving=rr.Scalars.columns(scalars=values),
                      static=rr.SeriesLines.columns(names=[title], colors=colour, widths=[2]))
     recording.disconnect()
 
 
-def _layout(name, scenes, series_units, backwards):
-    """The viewer's windows: a 3-D view a scene, all with the same camera; below them the series and the caption."""
-    low, high = _window(np.concatenate([scene.points() for scene in scenes.values()], axis=1))
+def _layout(name, scenes, series_units, backwards, corners):
+    """The viewer's windows: a 3-D view a scene, all with the same camera; below images, the series and the caption."""
+    low, high = _window(np.concatenate([scene.points() for scene in scenes.values()], axis=1), corners)
     middle = (low + high) / 2
     camera = rrb.EyeControls3D(position=middle + 1.2 * np.linalg.norm(high - low) * backwards, look_target=middle)
     views = [rrb.Spatial3DView(origin=f"/scenes/{rr.escape_entity_path_part(title)}", eye_controls=camera,
@@ -190,22 +219,29 @@ def _layout(name, scenes, series_units, backwards):
     plots = [rrb.TimeSeriesView(origin=f"/series/{rr.escape_entity_path_part(key)}", name=f"{key} [{unit}]")
              for key, unit in series_units.items()]
     below = rrb.Horizontal(*plots, rrb.TextDocumentView(origin="/caption", name=name))
-    return rrb.Blueprint(rrb.Vertical(rrb.Grid(*views), below, row_shares=[3, 2]),
+    images = [rrb.Spatial2DView(origin=f"/images/{rr.escape_entity_path_part(title)}", name=f"what {title} sees")
+              for title, scene in scenes.items() if scene.images]
+    middle = [rrb.Horizontal(*images)] if images else []
+    return rrb.Blueprint(rrb.Vertical(rrb.Grid(*views), *middle, below, row_shares=[3, *[2 for _ in middle], 2]),
                          rrb.TimePanel(timeline="time", loop_mode="all"), auto_views=False, collapse_panels=True)
 
 
-def _write_still(path, scenes, seconds_per_step, series_units, caption, backwards):
+def _write_still(path, scenes, seconds_per_step, series_units, caption, backwards, corners):
     right = np.cross([0, 0, 1], backwards) / np.linalg.norm(backwards[:2])
     camera = np.stack([right, np.cross(backwards, right)], axis=1)  # (3, 2), parallel projection
-    low, high = _window(np.concatenate([scene.points() @ camera for scene in scenes.values()], axis=1))
+    points = np.concatenate([scene.points() @ camera for scene in scenes.values()], axis=1)
+    low, high = _window(points, corners if corners is None else corners @ camera)
     margin = 0.05 * max(high - low) or 1.0  # [m] around a body that is seen from its end
     (left, bottom), (right, top) = low - margin, high + margin
-    heights = [np.clip(10 / len(scenes) * (top - bottom) / (right - left), 1.5, 5) + 0.7, 2.6]  # [inch]
+    seen = [scene.images for scene in scenes.values() if scene.images]
+    heights = [np.clip(10 / len(scenes) * (top - bottom) / (right - left), 1.5, 5) + 0.7, *[2.0][: len(seen)], 2.6]
     with style.context("default"):
-        figure = Figure(figsize=(10, sum(heights) + 0.4), layout="constrained")
-        upper, lower = figure.subfigures(2, 1, height_ratios=heights)
+        figure = Figure(figsize=(10, sum(heights) + 0.4), layout="constrained")  # [inch]
+        upper, *middle, lower = figure.subfigures(len(heights), 1, height_ratios=heights)
         views = upper.subplots(1, len(scenes), squeeze=False)[0]
         plots = lower.subplots(1, len(series_units), squeeze=False)[0]
+        for figure_of_images in middle:
+            _draw_images(figure_of_images.subplots(1, len(scenes), squeeze=False)[0], scenes)
         for view, line_style, (title, scene) in zip(views, itertools.cycle(_LINE_STYLES), scenes.items(), strict=False):
             view.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xticks=[], yticks=[], xlabel=scene.outcome)
             view.set_title(title, color=scene.colour, fontweight="bold")
@@ -220,9 +256,19 @@ def _write_still(path, scenes, seconds_per_step, series_units, caption, backward
         figure.savefig(path, format="png", dpi=120, metadata={"Software": None})  # a version would change the bytes
 
 
+def _draw_images(places, scenes):
+    for axes, scene in zip(places, scenes.values(), strict=True):
+        for name, values in scene.images.items():
+            axes.imshow(np.clip(values[scene.moment], 0, 1), origin="lower", interpolation="nearest")
+            axes.set(xticks=[], yticks=[], xlabel=f"{name} at that moment")
+
+
 def _draw_moments(axes, scene, camera):
     for line in scene.fixed.values():
         axes.plot(*(np.asarray(line) @ camera).T, color="0.8", zorder=0)
+    for centres, half_sizes, turns in scene.crowds.values():
+        boxes = _faces(np.asarray(centres)[scene.moment], half_sizes, np.asarray(turns)[scene.moment]) @ camera
+        axes.add_collection(PolyCollection(boxes.reshape(-1, 4, 2), facecolors="0.35", edgecolors="0.35", zorder=1))
     own = np.array(colors.to_rgb(scene.colour))
     for order, moment in enumerate(np.linspace(0, len(scene.points()) - 1, _MOMENTS).round().astype(int)):
         strength = 0.15 + 1.05 * (order / (_MOMENTS - 1)) ** 2  # 0: white, 1: the scene's colour, above: darker

@@ -1,0 +1,197 @@
+"""A recorded junction: the car waits along the recording and chooses when to go (thesis section 5.5.1).
+
+The files are laid out as the public drone recordings (inD, rounD); data/recordings describes them and holds a stand-in
+for the thesis's recording, which is not public. Registered as lifelong_lib/RecordedTraffic-v0.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import gymnasium as gym
+import numpy as np
+
+from .intersections import COLUMNS, GO, MAX_STEPS, REWARDS, ROW, ROWS, ROWS_BEHIND, STEP_SECONDS, WAITS, grid
+
+FOLDER = Path(__file__).resolve().parents[2] / "data" / "recordings"
+VEHICLES = ("car", "van", "truck", "bus", "truck_bus", "trailer", "motorcycle")  # all that the car sees
+WHOLE = ("trackId", "frame", "initialFrame", "finalFrame", "numFrames", "go")  # columns of whole numbers from 0 on
+AHEAD, AREA, SOON = 7.5, 6.0, 5.0  # [m], [m], [s] of the rule `is_safe`
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """What passed a waiting car, as seen from the middle of its front: x to the right, y forwards."""
+
+    frame_rate: float  # [1/s]
+    cars: list[np.ndarray]  # for each frame (n, 4): x, y [m], heading [rad] from the x axis to the left, speed [m/s]
+    labels: np.ndarray  # (frames,) bool: whether going is safe
+    tracks: list[np.ndarray]  # for each vehicle's track (n, 2): x, y; to draw a map of
+
+    @property
+    def duration(self) -> float:
+        """Seconds."""
+        return len(self.labels) / self.frame_rate
+
+
+class RecordedTraffic(gym.Env):
+    """A trial: wait 1, 2, 4 or 8 steps along the recording, or go, which ends it as the label of the seen frame says.
+
+    A trial begins at any frame that 20 s of recording follow. A step is 0.2 s, in which there are several frames; what
+    is seen is one of them, drawn anew, so that a short recording gives many trials. Nobody reacts to what the car does.
+    Actions, observations, rewards, ``discount`` and ``info`` are those of `Intersection` in local coordinates, but
+    going takes one step. Raises ValueError for a recording that is too short or has not a frame in every step.
+    """
+
+    metadata: ClassVar = {"render_modes": []}
+
+    def __init__(self, recording: Recording, discount: float = 0.99):
+        self._window = STEP_SECONDS * recording.frame_rate  # frames in a step, not always a whole number
+        frames, needed = len(recording.labels), int((MAX_STEPS + 1) * self._window)  # one look after the last step
+        if self._window < 1:
+            raise ValueError(f"{recording.frame_rate:g} frames a second are not one in every step of {STEP_SECONDS} s")
+        if frames < needed:
+            raise ValueError(f"the recording has {frames} frames; a trial of {MAX_STEPS} steps needs {needed}")
+        self.recording, self.discount, self._starts, self._ended = recording, discount, frames - needed + 1, True
+        self.observation_space = gym.spaces.Box(0, 3, (ROWS, COLUMNS, 3), np.float32)
+        self.action_space = gym.spaces.Discrete(GO + 1)
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None):
+        """Begin a trial at a random frame."""
+        super().reset(seed=seed)
+        self._start, self.steps, self._ended = int(self.np_random.integers(self._starts)), 0, False
+        return self._look(), {"steps": 0, "outcome": ""}
+
+    def step(self, action):
+        """Wait or go: (observation, discounted reward of the steps that it took, terminated, truncated, info)."""
+        if self._ended:
+            raise RuntimeError("the trial has ended, or was never begun: reset the environment first")
+        outcome, took = "", 1
+        if action == GO:
+            outcome = "success" if self.recording.labels[self.frame] else "collision"
+        else:
+            took = min(WAITS[action], MAX_STEPS - self.steps)
+        self.steps += took
+        late = self.steps == MAX_STEPS and not outcome
+        self._ended = late or bool(outcome)
+        rewards = [REWARDS[""]] * (took - 1) + [REWARDS[outcome]]
+        reward = float(np.dot(rewards, self.discount ** np.arange(took)))
+        return self._look(), reward, bool(outcome), late, {"steps": took, "outcome": "timeout" if late else outcome}
+
+    def _look(self) -> np.ndarray:
+        first, end = (self._start + int(step * self._window) for step in (self.steps, self.steps + 1))
+        self.frame = int(self.np_random.integers(first, end))
+        return grid(self.recording.cars[self.frame], np.array([0, -ROWS_BEHIND * ROW]))
+
+
+gym.register("lifelong_lib/RecordedTraffic-v0", f"{__name__}:RecordedTraffic")
+
+
+def is_safe(cars: np.ndarray) -> bool:
+    """The label of a frame that nobody labelled: whether none of ``cars`` (n, 4) is in the way or will be soon.
+
+    In the way is a circle of radius AREA about the point AHEAD of the waiting car's front. A car will be there soon if
+    it comes nearer and its speed takes it as far as the circle within SOON, however the road bends.
+    """
+    offset = np.array([0, AHEAD]) - cars[:, :2]
+    comes = offset[:, 0] * np.cos(cars[:, 2]) + offset[:, 1] * np.sin(cars[:, 2]) > 0
+    return not (np.hypot(*offset.T) <= AREA + comes * cars[:, 3] * SOON).any()
+
+
+def read_recording(number: int, folder: Path = FOLDER) -> Recording:
+    """Read recording ``number`` of a folder, with its own labels or, where there are none, those of `is_safe`.
+
+    Raises ValueError with the file, row and column that are wrong; the header is row 1.
+    """
+    parts = ("recordingMeta", "tracksMeta", "tracks", "ego", "labels")
+    meta_file, about_file, tracks_file, ego_file, labels_file = (Path(folder) / f"{number:02d}_{p}.csv" for p in parts)
+    meta = Table(meta_file, "frameRate", "duration")
+    meta.check("frameRate", meta["frameRate"] > 0, "is not above 0")
+    frames = np.rint(meta["duration"] * meta["frameRate"])
+    meta.check("duration", (frames > 0) & (frames < 2**31), "is not the time of any number of frames")
+    about = Table(about_file, "trackId", "initialFrame", "finalFrame", "numFrames", "class")
+    tracks = Table(tracks_file, "trackId", "frame", "xCenter", "yCenter", "heading", "xVelocity", "yVelocity")
+    rows = rows_of_tracks(about, tracks)
+    frames = int(max(frames[0], about["finalFrame"].max() + 1))  # the duration may be rounded
+    labels = read_labels(labels_file, frames) if labels_file.exists() else None
+    poses = seen_from(Table(ego_file, "xCenter", "yCenter", "heading"), tracks)
+    vehicles = [mine for mine, kind in zip(rows, about["class"], strict=True) if kind in VEHICLES]
+    kept = np.concatenate([np.empty(0, int), *vehicles])
+    kept = kept[np.argsort(tracks["frame"][kept], kind="stable")]
+    cars = np.split(poses[kept], np.searchsorted(tracks["frame"][kept], np.arange(1, frames)))
+    labels = np.array([is_safe(frame) for frame in cars]) if labels is None else labels
+    return Recording(float(meta["frameRate"][0]), cars, labels, [poses[mine, :2] for mine in vehicles])
+
+
+class Table:
+    """Columns of a CSV file with a header, which may have others: ``class`` is text, all else finite numbers."""
+
+    def __init__(self, file: Path, *columns: str):
+        if not file.is_file():
+            raise ValueError(f"{file} is missing")
+        lines = [line.split(",") for line in file.read_text("utf-8-sig", errors="replace").splitlines()]
+        if len(lines) < 2:
+            raise ValueError(f"{file} has no rows")
+        (header, *rows), self.file, self.columns = lines, file, {}
+        for row, words in enumerate(rows, 2):
+            if len(words) != len(header):
+                raise ValueError(f"{file}, row {row}: {len(words)} values for {len(header)} columns")
+        for column in columns:
+            if column not in header:
+                raise ValueError(f"{file}, row 1: there is no column {column}")
+            self.columns[column] = np.array([row[header.index(column)].strip() for row in rows])
+            if column != "class":
+                values, whole = np.array([number(word) for word in self[column]]), column in WHOLE
+                right = (values == np.abs(np.rint(values))) & (values < 2**31) if whole else np.isfinite(values)
+                self.check(column, right, f"is not a {'whole number from 0 on' if whole else 'finite number'}")
+                self.columns[column] = values.astype(int if whole else float)
+
+    def __getitem__(self, column: str) -> np.ndarray:
+        return self.columns[column]
+
+    def check(self, column: str, right: np.ndarray, problem: str) -> None:
+        """Raise ValueError for the first row of ``column`` that is not ``right`` (rows,)."""
+        if not right.all():
+            row = np.argmin(right)
+            raise ValueError(f"{self.file}, row {row + 2}, column {column}: '{self[column][row]}' {problem}")
+
+
+def number(word: str) -> float:
+    """Return the number that a word stands for, nan if for none."""
+    try:
+        return float(word)
+    except ValueError:
+        return np.nan
+
+
+def rows_of_tracks(about: Table, tracks: Table) -> list[np.ndarray]:
+    """Return the rows (n,) of each track, whose frames must follow one another and be those of its meta data."""
+    tracks.check("trackId", np.isin(tracks["trackId"], about["trackId"]), f"is not in {about.file.name}")
+    rows = [np.flatnonzero(tracks["trackId"] == track) for track in about["trackId"]]
+    counts, due = np.array([len(mine) for mine in rows]), np.empty(len(tracks["frame"]), int)
+    right = (about["numFrames"] == counts) & (counts > 0)
+    about.check("numFrames", right, f"is not how many rows the track has in {tracks.file.name}")
+    right = about["finalFrame"] == about["initialFrame"] + counts - 1
+    about.check("finalFrame", right, "does not agree with initialFrame and numFrames")
+    for first, mine in zip(about["initialFrame"], rows, strict=True):
+        due[mine] = first + np.arange(len(mine))
+    tracks.check("frame", tracks["frame"] == due, "is not the frame that is due in its track")
+    return rows
+
+
+def read_labels(file: Path, frames: int) -> np.ndarray:
+    """Return the labels (frames,) bool of a file with a row for every frame, in order."""
+    table = Table(file, "frame", "go")
+    table.check("frame", table["frame"] == np.arange(len(table["frame"])), "is not the frame that is due")
+    table.check("go", table["go"] <= 1, "is neither 0 nor 1")
+    if len(table["go"]) != frames:
+        raise ValueError(f"{file}, column frame: there are {len(table['go'])} rows for {frames} frames")
+    return table["go"] == 1
+
+
+def seen_from(ego: Table, tracks: Table) -> np.ndarray:
+    """Return the poses (n, 4) of all rows of ``tracks`` as the waiting car sees them, as in `Recording.cars`."""
+    turn = np.pi / 2 - np.deg2rad(ego["heading"][0])
+    offset = tracks["xCenter"] - ego["xCenter"][0] + 1j * (tracks["yCenter"] - ego["yCenter"][0])
+    place, speed = offset * np.exp(1j * turn), np.hypot(tracks["xVelocity"], tracks["yVelocity"])
+    return np.column_stack([place.real, place.imag, np.deg2rad(tracks["heading"]) + turn, speed])
