@@ -1,6 +1,7 @@
 """Speed as ratios measured in one run: medians over repetitions that alternate between the two sides."""
 
 import os
+import shutil
 from functools import partial
 from itertools import chain
 from time import perf_counter
@@ -33,7 +34,7 @@ def main() -> list[Row]:
     """Measure, print a line a promise, and return the rows."""
     load, rows = os.getloadavg()[0], []
     ella = many_tasks(), dense_inverse("full", 3), dense_inverse("identity", 10)
-    for row in chain(batched_roll_outs(), *ella, junction(), q_update(), q_learning()):
+    for row in chain(batched_roll_outs(), *ella, junction(), traci_loop(), q_update(), q_learning()):
         rows.append(row)
         print(f"{'ok' if row.ok else 'MISSED':7}{row.measured:<9.3g}{row.bound} {row.limit:<6g} {row.what}", flush=True)
     advice = "; the machine was loaded: measure again when nothing else runs" * (load > 0.5)
@@ -130,6 +131,43 @@ def junction(repetitions: int = 20):
     bare, ours = medians(repetitions, lambda: env.simulate(1, WARM_UP + 2 + MAX_STEPS), trial)
     env.close()
     yield Row("SUMO: steps a second, observed, against the bare simulation", bare / ours, "at least", 0.8)
+
+
+def traci_loop(repetitions: int = 5):
+    """The same trial through TraCI, the socket to a SUMO of its own, reading the same of every car near the junction.
+
+    Needs the program `sumo` of the pinned release, which nothing else here does; without it there is no such row.
+    """
+    from lifelong_lib.environments.intersections import MAX_STEPS, OPTIONS, WARM_UP, Intersection, grid, poses
+
+    if not shutil.which("sumo"):
+        print("no program `sumo` here (pip install eclipse-sumo==1.28.0): the row about TraCI is left out")
+        return
+    import traci
+
+    env = Intersection("challenge")
+    env.reset(seed=1)
+    options = {"net-file": env._files["net"], "route-files": env._files["rou"], "seed": 1} | OPTIONS
+    traci.start(["sumo", *(str(word) for key, value in options.items() for word in (f"--{key}", value))])
+    for _ in range(WARM_UP):
+        traci.simulationStep()
+
+    def theirs():
+        for _ in range(MAX_STEPS - 1):
+            traci.simulationStep()
+            cars = [[traci.vehicle.getPosition(car), traci.vehicle.getAngle(car), traci.vehicle.getSpeed(car)]
+                    for car in traci.vehicle.getIDList()]  # fmt: skip
+            grid(poses([(*place, angle, speed) for place, angle, speed in cars]), np.zeros(2))
+
+    def ours():
+        for _ in range(MAX_STEPS - 1):
+            env.steps = 0  # one trial without an end
+            env.step(0)
+
+    ours, theirs = medians(repetitions, ours, theirs)
+    traci.close()
+    env.close()
+    yield Row("SUMO: observed steps a second against the same loop through TraCI", theirs / ours, "at least", 5)
 
 
 def q_update(repetitions: int = 200):

@@ -35,6 +35,7 @@ def test_every_promise_is_measured_and_dense_and_fast_updates_agree(monkeypatch,
     for name, sizes in small.items():
         measure = getattr(bench, name)
         monkeypatch.setattr(bench, name, lambda *given, measure=measure, sizes=sizes: measure(*given, **sizes))
+    monkeypatch.setattr(bench.shutil, "which", lambda program: None)  # no SUMO but that inside libsumo
     rows = bench.main()
     assert [(row.bound, row.limit) for row in rows] == [
         *[("at least", 30)] * 4, ("at most", 1.1),
@@ -43,13 +44,17 @@ def test_every_promise_is_measured_and_dense_and_fast_updates_agree(monkeypatch,
     assert all(np.isfinite(row.measured) and row.measured > 0 for row in rows)
     assert all(row.ok for row in rows if row.limit == 1e-8), "results are equal"
     printed = capsys.readouterr().out.splitlines()
+    left_out = [line for line in printed if line.startswith("no program `sumo` here")]
+    assert len(left_out) == 1 and "eclipse-sumo==1.28.0" in left_out[0]
+    printed.remove(left_out[0])
     assert len(printed) == len(rows) + 1 and all(row.what in line for row, line in zip(rows, printed, strict=False))
     assert printed[-1].startswith("load before: ")
 
 
 @pytest.mark.parametrize(("load", "said"), [(0.1, False), (1.7, True)])
 def test_a_loaded_machine_is_named(load, said, monkeypatch, capsys):
-    for name in ("batched_roll_outs", "many_tasks", "dense_inverse", "junction", "q_update", "q_learning"):
+    for name in ("batched_roll_outs", "many_tasks", "dense_inverse", "junction", "traci_loop", "q_update",
+                 "q_learning"):
         monkeypatch.setattr(bench, name, lambda *_: iter(()))
     monkeypatch.setattr(bench.os, "getloadavg", lambda: (load, 0, 0))
     assert bench.main() == []
