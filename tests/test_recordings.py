@@ -197,6 +197,39 @@ def test_rerun_is_called_without_usage_statistics(saved, tmp_path, monkeypatch):
     assert not list(tmp_path.rglob("analytics/*.json"))  # where rerun keeps events until it sends them
 
 
+def busy(moments=21, **more):
+    """A pole that is watched by a crowd of three and sees an image whose brightness tells the moment."""
+    angle = np.zeros(moments)
+    centres = np.tile([[5.0, 0, 0], [6, 0, 0], [0, -500, 0]], (moments, 1, 1))
+    turns = np.tile(QUARTER_TURN, (moments, 3, 1))
+    image = np.zeros((moments, 4, 6, 3))
+    image[:, 0, 0] = np.linspace(0, 1, moments)[:, None]
+    crowd = {"crowd": (centres, (0.2, 0.2, 0.2), turns)}
+    return replace(pendulum(angle, "#666666"), crowds=crowd, images={"view": image}, **more)
+
+
+def test_crowds_and_images_are_recorded_whole_and_the_window_is_the_one_asked_for(tmp_path):
+    path = save(tmp_path / "a", {"watched": busy(moment=20)}, window=((-7, -1, -1), (7, 1, 2)))
+    chunks = chunks_of(path)
+    boxes = chunks["/scenes/watched/crowds/crowd", False].to_record_batch().to_pydict()
+    assert np.allclose(boxes["Boxes3D:centers"][7], [[5, 0, 0], [6, 0, 0], [0, -500, 0]])
+    assert np.shape(chunks["/scenes/watched/crowds/crowd", True].to_record_batch().to_pydict()["Boxes3D:half_sizes"]
+                    ) == (1, 3, 3)  # fmt: skip
+    (pixels,) = chunks["/images/watched/view", False].to_record_batch().to_pydict()["Image:buffer"][20]
+    pixels = np.frombuffer(bytes(pixels), np.uint8).reshape(4, 6, 3)
+    assert pixels[3, 0].tolist() == [255] * 3 and pixels.sum() == 3 * 255, "row 0 is below"
+    other = save(tmp_path / "b", {"watched": busy(moment=20)})
+    assert path.with_suffix(".png").read_bytes() != other.with_suffix(".png").read_bytes()
+    again = save(tmp_path / "c", {"watched": busy(moment=20)}, window=((-7, -1, -1), (7, 1, 2)))
+    assert exact(path) == exact(again) and rerun_compare(path, again) == 0
+
+
+def test_a_window_replaces_what_moves_and_the_crowd_does_not_widen_the_views():
+    points = np.zeros((3, 2, 2))
+    assert np.array_equal(recordings._window(points, np.array([[0, 5], [-1, 7]])), [[-1, 5], [0, 7]])
+    assert np.abs(busy().points()).max() < 2
+
+
 def with_part(points):
     return replace(two_scenes()["random"], parts={"pole": points})
 
@@ -215,6 +248,11 @@ BAD_SCENES = {
     "series missing": (replace(STANDING, series={}), r"exactly the series \['pole angle', 'cart position'\]"),
     "half sizes": (replace(STANDING, boxes={"cart": (CENTRES, (1, 1), None)}), "half sizes of box 'cart': shape"),
     "rotations": (replace(STANDING, boxes={"cart": (CENTRES, (1, 1, 1), CENTRES)}), "rotations of box 'cart': shape"),
+    "crowd": (replace(busy(), crowds={"crowd": (CENTRES, (1, 1, 1), CENTRES)}), "centres of crowd 'crowd': shape"),
+    "crowd's rotations": (replace(busy(), crowds={"crowd": (CENTRES[:, None], (1, 1, 1), np.ones((21, 2, 4)))}),
+                          r"rotations of crowd 'crowd': shape \(21, 2, 4\), wanted \(21, 1, 4\)"),
+    "image": (replace(busy(), images={"view": np.ones((21, 4, 6))}), "image 'view': shape"),
+    "moment": (busy(moment=21), "moment 21 is not one of the 21"),
     "fixed": (replace(STANDING, fixed={"rail": [(0, 0)]}), "fixed 'rail': shape"),
 }
 

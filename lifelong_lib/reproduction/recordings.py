@@ -138,9 +138,12 @@ def _check(where, scenes, series_units):
             arrays += [(f"centres of box {key!r}", centres, "H+1", 3), (f"half sizes of box {key!r}", half_sizes, 3)]
             arrays += [] if turns is None else [(f"rotations of box {key!r}", turns, "H+1", 4)]
         for key, (centres, half_sizes, turns) in scene.crowds.items():
-            arrays += [(f"centres of crowd {key!r}", centres, "H+1", "n", 3), (f"half sizes of {key!r}", half_sizes, 3)]
-            arrays += [(f"rotations of crowd {key!r}", turns, "H+1", "n", 4)]
+            arrays += [(f"half sizes of crowd {key!r}", half_sizes, 3)]
+            arrays += [(f"centres of crowd {key!r}", centres, "H+1", "any", 3)]
+            arrays += [(f"rotations of crowd {key!r}", turns, "H+1", len(centres[0]), 4)]
         arrays += [(f"image {key!r}", values, "H+1", "n", "n", 3) for key, values in scene.images.items()]
+        length = len(next(iter(scene.series.values())))
+        require(0 <= scene.moment < max(length, 1), f"{here}: moment {scene.moment} is not one of the {length}")
         for what, values, *wanted in arrays:
             try:
                 array = np.asarray(values, dtype=float)
@@ -148,8 +151,9 @@ def _check(where, scenes, series_units):
                 raise ReproductionError(f"{here}, {what}: not an array of numbers") from None
             moments = moments or array.size  # the first series says how long all have to be
             wanted = [moments if length == "H+1" else length for length in wanted]
-            fits = [have > 1 and want in (have, "n") for have, want in zip(array.shape, wanted, strict=False)]
-            require(len(wanted) == array.ndim and all(fits),
+            fits = [want in (have, "any") or (want == "n" and have > 1)
+                    for have, want in zip(array.shape, wanted, strict=False)]  # fmt: skip
+            require(moments > 1 and len(wanted) == array.ndim and all(fits),
                     f"{here}, {what}: shape {array.shape}, wanted ({', '.join(map(str, wanted))})")
             bad_rows = np.nonzero(~np.isfinite(array))[0]
             require(len(bad_rows) == 0,
