@@ -47,8 +47,9 @@ def test_an_image_gives_its_cells_that_are_not_empty(ax):
 
 def test_a_junction_has_its_lanes_and_each_car_where_it_is(ax):
     lane, cars = np.array([[0.0, 0], [10, 0], [10, 5]]), np.array([[2.0, 1, 0, 0], [5, 5, np.pi / 2, 9]])
-    rows = drawings.draw_junction(ax, [lane], cars, (4, 2), lane_width=3)
-    assert [row["car"] for row in rows] == ["own", "other", *["line 0"] * 3]
+    rows = drawings.draw_junction(ax, [lane], cars, (4, 2), lane_width=3, path=np.array([[4.0, 1], [9, 1]]))
+    assert [row["car"] for row in rows] == ["own", "other", *["line 0"] * 3, "path", "path"]
+    assert ax.lines[0].get_xydata().tolist() == [[4, 1], [9, 1]]
     assert rows[1] == {"panel": "", "car": "other", "x": 5.0, "y": 5.0, "heading": np.pi / 2, "speed": 9.0}
     lanes, boxes = (found for found in ax.collections if isinstance(found, PolyCollection))
     corners = [path.vertices for path in boxes.get_paths()]

@@ -73,21 +73,26 @@ def draw_image(ax, image, x, y):
             for row, column in np.argwhere(kept.any(axis=-1))]  # fmt: skip
 
 
-def draw_junction(ax, lanes, cars, size, lane_width=3.2):
+def draw_junction(ax, lanes, cars, size, lane_width=3.2, path=()):
     """Draw lanes (or tracks) in grey and cars on them from above, the first one as the own car.
 
-    `lanes`: list of polylines (n, 2) [m]; `cars`: (n, 4) x, y, heading [rad], speed [m/s]; `size`: (length, width) [m].
+    `lanes`: list of polylines (n, 2) [m]; `cars`: (n, 4) x, y, heading [rad], speed [m/s]; `size`: (length, width) [m];
+    `path`: (n, 2) [m] where the own car will go.
     """
     rows = [{"panel": ax.get_title(), "car": "own" if i == 0 else "other", "x": float(x), "y": float(y),
              "heading": float(heading), "speed": float(speed)} for i, (x, y, heading, speed) in enumerate(cars)]
     rows += [{"panel": ax.get_title(), "car": f"line {i}", "x": float(x), "y": float(y)}
              for i, line in enumerate(lanes) for x, y in line]  # fmt: skip
+    rows += [{"panel": ax.get_title(), "car": "path", "x": float(x), "y": float(y)} for x, y in path]
     corners = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) * np.array(size) / 2
     turns = np.array([[[np.cos(a), np.sin(a)], [-np.sin(a), np.cos(a)]] for a in cars[:, 2]])
     colours = [OWN] + [OTHER] * (len(cars) - 1)
     with plt.rc_context(STYLE):
-        ax.add_collection(PolyCollection(_quads(lanes, lane_width), facecolor=ROAD, edgecolor=ROAD, linewidth=0.2))
+        ax.add_collection(PolyCollection(_quads(lanes, lane_width), facecolor=ROAD, edgecolor="white", linewidth=0.5))
         ax.add_collection(PolyCollection(corners @ turns + cars[:, None, :2], facecolor=colours, zorder=3))
+        if len(path):
+            ax.plot(*np.transpose(path), color=OWN, linestyle=":", zorder=2)
+            ax.annotate("", path[-1], path[-2], arrowprops={"arrowstyle": "-|>", "color": OWN}, zorder=2)
         ax.set_aspect("equal")
         ax.grid(visible=False)
     return rows

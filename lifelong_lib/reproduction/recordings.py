@@ -42,10 +42,10 @@ class Scene:
     boxes: {name: (centres (H+1, 3), half sizes (3,), rotations (H+1, 4) as quaternions xyzw, or None)}.
     series: {name: (H+1,)}, values over time.
     fixed: {name: (n >= 2, 3)}, grey polylines that stay: a rail, a target.
+    outcome: a few words for the title, such as "falls after 0.8 s".
     crowds: {name: (centres (H+1, n, 3), half sizes (3,), rotations (H+1, n, 4))}, dark boxes that are not the subject.
     images: {name: (H+1, rows, columns, 3)} from 0 to 1, row 0 below: what the subject sees.
     moment: of which the still picture shows crowds and images, as they would hide each other.
-    outcome: a few words for the title, such as "falls after 0.8 s".
     """
 
     colour: str
@@ -53,10 +53,10 @@ class Scene:
     boxes: dict = field(default_factory=dict)
     series: dict = field(default_factory=dict)
     fixed: dict = field(default_factory=dict)
+    outcome: str = ""
     crowds: dict = field(default_factory=dict)
     images: dict = field(default_factory=dict)
     moment: int = 0
-    outcome: str = ""
 
     def faces(self):
         """The six faces (H+1, 6, 4, 3) of every box."""
