@@ -11,7 +11,18 @@ from typing import ClassVar
 import gymnasium as gym
 import numpy as np
 
-from .intersections import COLUMNS, GO, MAX_STEPS, REWARDS, ROW, ROWS, ROWS_BEHIND, STEP_SECONDS, WAITS, grid
+from lifelong_lib.environments.intersections import (
+    COLUMNS,
+    GO,
+    MAX_STEPS,
+    REWARDS,
+    ROW,
+    ROWS,
+    ROWS_BEHIND,
+    STEP_SECONDS,
+    WAITS,
+    grid,
+)
 
 FOLDER = Path(__file__).resolve().parents[2] / "data" / "recordings"
 VEHICLES = ("car", "van", "truck", "bus", "truck_bus", "trailer", "motorcycle")  # all that the car sees

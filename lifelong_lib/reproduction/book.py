@@ -18,11 +18,11 @@ from docutils.utils.math import MathError
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.util import logging
 
-from .fingerprint import SOURCES, require
-from .notebooks import made_ids, named_in_calls
-from .report import order, read_grids, verdict_counts
-from .runs import ROOT, read_json
-from .tables import Table, readable
+from lifelong_lib.reproduction.fingerprint import SOURCES, require
+from lifelong_lib.reproduction.notebooks import made_ids, named_in_calls
+from lifelong_lib.reproduction.report import order, read_grids, verdict_counts
+from lifelong_lib.reproduction.runs import ROOT, read_json
+from lifelong_lib.reproduction.tables import Table, readable
 
 CONFIGURATION = """
 project = html_title = "Lifelong reinforcement learning on mobile robots, reproduced"
