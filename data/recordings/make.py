@@ -37,7 +37,7 @@ CONFIRMED = 0.4  # [s] that a track must last to be reported
 
 # The observer.
 FREE = {NEAR: (0.5, 4.0), FAR: (1.5, 5.0)}  # [s] from now, from when and until when a lane must be free of cars
-MISJUDGED = 0.4  # [s] standard deviation of the error about a car's gap
+MISJUDGED = 0.1  # relative standard deviation of the error about the time until a car is there
 LAG, LAG_SPREAD = 0.3, 0.05  # [s] of reaction
 
 TRACKS = ("recordingId,trackId,frame,trackLifetime,xCenter,yCenter,heading,width,length,"
@@ -154,8 +154,8 @@ def tracks(rng, lanes: dict[int, list]) -> list[dict]:
 
 def blocks(rng, car: dict, begins: float, ends: float) -> np.ndarray:
     """Frames in which the observer finds that a car will drive past us between these times from now: bool (frames,)."""
-    error = rng.normal(0, MISJUDGED)
-    front, rear = (-(car["along"] + end * car["length"] / 2) / car["speed"] + error for end in (1, -1))
+    judged = 1 + rng.normal(0, MISJUDGED)
+    front, rear = (-judged * (car["along"] + end * car["length"] / 2) / car["speed"] for end in (1, -1))
     return (front < ends) & (rear > begins)
 
 
