@@ -114,9 +114,23 @@ def test_the_number_of_a_cell_stands_in_the_cell(chapter):
     assert places["1.0"] == (0.5, 0.5) and places["−2.0"] == (1.5, 0.5)
 
 
-def test_methods_differ_by_more_than_colour():
-    looks = figures.LOOKS.values()
+TOGETHER = [  # names that may stand in one figure
+    ["TaDeMTL", "GO-MTL", "TaDeLL", "PG-ELLA", "ELLA", "PG", "STL", "Sinapov et al.", "warm start", "random",
+     "random start"],
+    ["right", "left", "left2", "forward", "challenge", "random start"],
+    ["single task", "direct copy", "reverse transfer"],
+    ["pre-trained", "from scratch"],
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("names", TOGETHER, ids=lambda names: names[0])
+def test_methods_differ_by_more_than_colour(names):
+    looks = [figures.LOOKS[name] for name in names]
     assert len({look.marker for look in looks}) == len(looks)
+
+
+def test_every_look_stands_somewhere_and_others_are_refused():
+    assert {name for names in TOGETHER for name in names} == figures.LOOKS.keys()
     with pytest.raises(ValueError, match="no look"):
         figures.look_of("TaDELL")
 
