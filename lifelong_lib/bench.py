@@ -192,7 +192,7 @@ def q_update(repetitions: int = 200):
     yield Row("DQN: an update against the matrix products that it needs", ours / bare, "at most", 2)
 
 
-def q_learning(iterations: int = 300, repetitions: int = 3):
+def q_learning(iterations: int = 1000, repetitions: int = 3):
     """Decision, environment and update against Stable-Baselines3's DQN: same network, batch, buffer and junction."""
     import torch
     from stable_baselines3 import DQN as Theirs
