@@ -88,7 +88,8 @@ def draw_junction(ax, lanes, cars, size, lane_width=3.2, path=()):
     turns = np.array([[[np.cos(a), np.sin(a)], [-np.sin(a), np.cos(a)]] for a in cars[:, 2]])
     colours = [OWN] + [OTHER] * (len(cars) - 1)
     with plt.rc_context(STYLE):
-        ax.add_collection(PolyCollection(_quads(lanes, lane_width), facecolor=ROAD, edgecolor="white", linewidth=0.5))
+        edge = "white" if lane_width > 1 else ROAD  # between lanes; it would hide thin tracks
+        ax.add_collection(PolyCollection(_quads(lanes, lane_width), facecolor=ROAD, edgecolor=edge, linewidth=0.5))
         ax.add_collection(PolyCollection(corners @ turns + cars[:, None, :2], facecolor=colours, zorder=3))
         if len(path):
             ax.plot(*np.transpose(path), color=OWN, linestyle=":", zorder=2)
