@@ -86,11 +86,11 @@ def draw_junction(ax, lanes, cars, size, lane_width=3.2, path=()):
     rows += [{"panel": ax.get_title(), "car": "path", "x": float(x), "y": float(y)} for x, y in path]
     corners = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) * np.array(size) / 2
     turns = np.array([[[np.cos(a), np.sin(a)], [-np.sin(a), np.cos(a)]] for a in cars[:, 2]])
-    colours = [OWN] + [OTHER] * (len(cars) - 1)
     with plt.rc_context(STYLE):
-        edge = "white" if lane_width > 1 else ROAD  # between lanes; it would hide thin tracks
-        ax.add_collection(PolyCollection(_quads(lanes, lane_width), facecolor=ROAD, edgecolor=edge, linewidth=0.5))
-        ax.add_collection(PolyCollection(corners @ turns + cars[:, None, :2], facecolor=colours, zorder=3))
+        edge = 0.5 if lane_width > 1 else 0  # between lanes; it would hide thin tracks
+        ax.add_collection(PolyCollection(_quads(lanes, lane_width), facecolor=ROAD, edgecolor="white", linewidth=edge))
+        boxes, colours = corners @ turns + cars[:, None, :2], [OWN] + [OTHER] * (len(cars) - 1)
+        ax.add_collection(PolyCollection(boxes, facecolor=colours, zorder=3))
         if len(path):
             ax.plot(*np.transpose(path), color=OWN, linestyle=":", zorder=2)
             ax.annotate("", path[-1], path[-2], arrowprops={"arrowstyle": "-|>", "color": OWN}, zorder=2)
