@@ -102,3 +102,13 @@ def project(tmp_path_factory) -> Path:
     compare(folder, reference)
     build_book(folder, reference)
     return root
+
+
+def trial(env, seed, actions):
+    """Everything that a trial with these actions gives, until it ends."""
+    seen = [env.reset(seed=seed)]
+    for action in actions:
+        seen.append(env.step(action))
+        if seen[-1][2] or seen[-1][3]:
+            break
+    return seen

@@ -8,7 +8,7 @@ import gymnasium as gym
 import libsumo
 import numpy as np
 import pytest
-from conftest import REPOSITORY
+from conftest import REPOSITORY, trial
 from gymnasium.utils.env_checker import check_env
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -46,16 +46,6 @@ def junction():
     yield make
     for env in made:
         env.close()
-
-
-def trial(env, seed, actions):
-    """Everything that a trial with these actions gives, until it ends."""
-    seen = [env.reset(seed=seed)]
-    for action in actions:
-        seen.append(env.step(action))
-        if seen[-1][2] or seen[-1][3]:
-            break
-    return seen
 
 
 def digest(seen):

@@ -7,7 +7,7 @@ import sys
 import gymnasium as gym
 import numpy as np
 import pytest
-from conftest import REPOSITORY
+from conftest import REPOSITORY, trial
 from gymnasium.utils.env_checker import check_env
 
 from lifelong_lib.environments.intersections import COLUMN, GO, ROW, SPEED
@@ -196,15 +196,6 @@ def film(rate, frames, labels=True):
 
 def frame_of(image):
     return round(float(image[:, :, 1].max()) * SPEED * 100)
-
-
-def trial(env, seed, actions):
-    seen = [env.reset(seed=seed)]
-    for action in actions:
-        seen.append(env.step(action))
-        if seen[-1][2] or seen[-1][3]:
-            break
-    return seen
 
 
 def test_gymnasium_finds_nothing_to_complain_of():
