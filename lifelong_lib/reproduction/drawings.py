@@ -81,9 +81,8 @@ def draw_junction(ax, lanes, cars, size, lane_width=3.2, path=()):
     """
     rows = [{"panel": ax.get_title(), "car": "own" if i == 0 else "other", "x": float(x), "y": float(y),
              "heading": float(heading), "speed": float(speed)} for i, (x, y, heading, speed) in enumerate(cars)]
-    rows += [{"panel": ax.get_title(), "car": f"line {i}", "x": float(x), "y": float(y)}
-             for i, line in enumerate(lanes) for x, y in line]  # fmt: skip
-    rows += [{"panel": ax.get_title(), "car": "path", "x": float(x), "y": float(y)} for x, y in path]
+    drawn = {f"line {i}": line for i, line in enumerate(lanes)} | {"path": path}
+    rows += [{"panel": ax.get_title(), "car": of, "x": float(x), "y": float(y)} for of in drawn for x, y in drawn[of]]
     corners = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) * np.array(size) / 2
     turns = np.array([[[np.cos(a), np.sin(a)], [-np.sin(a), np.cos(a)]] for a in cars[:, 2]])
     with plt.rc_context(STYLE):
