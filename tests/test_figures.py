@@ -119,7 +119,7 @@ TOGETHER = [  # names that may stand in one figure
      "random start"],
     ["right", "left", "left2", "forward", "challenge", "random start"],
     ["single task", "direct copy", "reverse transfer"],
-    ["pre-trained", "from scratch", "control"],
+    ["pre-trained", "from scratch", "random"],
 ]  # fmt: skip
 
 

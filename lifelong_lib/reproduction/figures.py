@@ -52,7 +52,6 @@ LOOKS = {
     "reverse transfer": Look("#666666", "s", (0, (5, 1.5)), "///"),
     "pre-trained": Look("#0072B2", "o", "-", ""),
     "from scratch": Look("#E69F00", "D", (0, (5, 1.5)), "xxx"),
-    "control": Look("#888888", "2", (0, (1, 1.5)), "ooo"),
 }
 STYLE = {
     "font.family": "DejaVu Sans", "font.size": 8, "axes.titlesize": 9, "axes.titleweight": "bold",
