@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +14,8 @@ from lifelong_lib.reproduction.book import build_book
 from lifelong_lib.reproduction.report import accept, compare
 
 REPOSITORY = Path(__file__).resolve().parents[1]
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs, and their children, ignore it
 
 TITLE = "# Chapter 4: a demonstration\nMakes F4.1, T4.1 and C4.1. A formula: $\\theta = L s$.\n\n$$ a^2 \\tag{4.1} $$"
 PARAMETERS = """profile = "quick"   # smoke, quick or paper
