@@ -17,9 +17,9 @@ from lifelong_lib.reproduction.notebooks import COMMON, find_notebooks, made_ids
 LIBRARY = REPOSITORY / "lifelong_lib"
 SOURCES = sorted(LIBRARY.rglob("*.py"))
 NOTEBOOKS = find_notebooks(REPOSITORY / "notebooks")
-# The plan was 2,900 after chapters 2 and 4, which have 3,341: a debt, not a licence. Chapter 5 brings the rest; with
-# all chapters it must not be more than about 5,500.
-LINES = 4200
+# The plan was 2,900 after chapters 2 and 4, which have 3,341: a debt, not a licence. Chapters 3 and 5 bring the rest;
+# with all chapters it must not be more than about 5,500.
+LINES = 4740
 
 # May import from: None = anything of the library. A module that is not listed falls under its package.
 ALLOWED = {
@@ -41,6 +41,7 @@ ONLY_IN = {"pybullet": ("environments.mobile_robots", "environments.camera_robot
 # What the notebook of a chapter makes; rows of later issues are added with them.
 INVENTORY = {
     2: "F2.1 C2.1",
+    3: "F3.1 F3.2 F3.3 F3.4 F3.5 C3.1 C3.2 C3.3 C3.4 C3.5 C3.6 C3.7 C3.8 C3.9",
     4: "F4.1 F4.2 F4.3 F4.4 F4.5 F4.6 F4.7 F4.8 F4.9 T4.1 T4.2 T4.3 "
        "C4.1 C4.2 C4.3 C4.4 C4.5 C4.6 C4.7 C4.8 C4.9 C4.10 C4.11 C4.12 C4.13 C4.14 C4.15",
     5: "F5.1 F5.2 F5.3 F5.4 F5.5 F5.6 F5.7 F5.8 F5.9 C5.1 C5.2 C5.3 C5.4 C5.5 C5.6 C5.7 C5.8 C5.9",

@@ -41,6 +41,10 @@ LOOKS = {
     "warm start": Look("#D55E00", "P", "-", "++"),
     "random": Look("#666666", "1", (0, (1, 3)), "ooo"),
     "random start": Look("#882255", "<", (0, (3, 1, 1, 1)), "..."),
+    # chapter 3: what stands beside PG-ELLA
+    "mean start": Look("#009E73", "^", (0, (5, 1.5, 1, 1.5)), ""),
+    "by hand": Look("#0072B2", "", (0, (3, 1, 1, 1)), ""),
+    "without faults": Look("#CC79A7", "", (0, (5, 1.5)), ""),
     # chapter 5: where a network was trained first, and what became of it
     "right": Look("#0072B2", "o", "-", ""),
     "left": Look("#E69F00", "D", (0, (5, 1.5)), "xxx"),
