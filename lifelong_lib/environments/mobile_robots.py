@@ -1,13 +1,15 @@
 """A Turtlebot 2 and an AR.Drone in PyBullet, each with an unknown constant disturbance (thesis section 3.3).
 
 PyBullet stands in for Gazebo. Every call of ``roll_out`` loads a world of its own, in which one robot stands several
-times, too far apart to meet, once for each policy: so a roll-out depends neither on its neighbours nor on what ran
-before. What the thesis leaves open stands in DEVIATIONS.md.
+times, too far apart to meet, once for each policy: so the physics of a roll-out depends, but for rounding, neither on
+its neighbours nor on what ran before. What the thesis leaves open stands in DEVIATIONS.md.
 """
 
+import hashlib
 import os
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import ClassVar, NamedTuple
 
@@ -30,6 +32,7 @@ def _load_pybullet():
 
 pybullet = _load_pybullet()
 FOLDER = Path(__file__).resolve().parents[2] / "data" / "robots"
+CHECKSUMS = {"turtlebot.urdf": "1d60d88a15f8", "ardrone.urdf": "422ed34c5073", "marker.urdf": "4688f8a2e9fe"}
 GRAVITY = 9.81  # [m/s^2]
 SPACING = 200.0  # [m] between the robots of a world, more than any of them can drive or fly
 PHYSICS_STEP = 0.04  # [s]; the tests show what half of it would change
@@ -99,8 +102,8 @@ class Turtlebot:
         return RollOuts(states, actions, rewards, poses)
 
     def succeeded(self, out: RollOuts) -> np.ndarray:
-        """Return which roll-outs end within CLOSE of the goal: (n,)."""
-        return np.linalg.norm(out.poses[:, -1, :2] - self.goal, axis=1) < self.CLOSE
+        """Return which roll-outs spend their last two seconds within CLOSE of the goal: (n,)."""
+        return (np.linalg.norm(out.poses[:, -11:, :2] - self.goal, axis=2) < self.CLOSE).all(axis=1)
 
     def limited(self, actions: np.ndarray) -> np.ndarray:
         """Return the commands that are carried out: actions (n, 2) and the disturbance, within the base's limits."""
@@ -130,7 +133,7 @@ def features(states: np.ndarray) -> np.ndarray:
 class ARDrone:
     """An AR.Drone that hovers above a marker, the origin, and is to land on it by what its downward camera sees.
 
-    ``disturbance`` is added to its commands along x and y [m/s]; ValueError for one beyond DRIFT.
+    ``disturbance`` is added to its commands along x and y [m/s], also while it waits; ValueError for one beyond DRIFT.
     """
 
     disturbance: tuple[float, float]
@@ -154,15 +157,17 @@ class ARDrone:
 
         A state x is (-x/4, -y/3, z/3): the marker's place in the image, whose edges are at 2 and 1.5, and the altitude
         above SONAR [m]. Out of view the marker counts as at 4 and 3, where it was last seen, and the drone waits. The
-        reward of a step is -10 |(x/4, y/3, z)| where it leads, less the norm of the command; nothing after landing.
+        reward of a step is -10 |(x/4, y/3, z)| where it leads, less the norm of the command that was carried out;
+        nothing after landing.
         Raises ValueError for policies of another shape or that are not finite.
         """
         gains, n = checked(policies, self.POLICY_SIZE).reshape(-1, 3, 3), len(policies)
         actions = noise * rng.standard_normal((n, self.HORIZON, 3))
         gusts = rng.uniform(-0.05, 0.05, actions.shape)  # [m/s] as in the TUM simulator; and a drift, for 5 s each
         gusts += np.repeat(rng.uniform(-0.03, 0.03, (n, -(-self.HORIZON // 12), 3)), 12, axis=1)[:, : self.HORIZON]
-        states, rewards = np.zeros((n, self.HORIZON + 1, 3)), np.zeros((n, self.HORIZON))
-        poses, flying, marker = np.empty((n, self.HORIZON + 1, 7)), np.ones(n, bool), np.zeros((n, 2))
+        commands, rewards = np.zeros_like(actions), np.zeros((n, self.HORIZON))
+        states, poses = np.zeros((n, self.HORIZON + 1, 3)), np.empty((n, self.HORIZON + 1, 7))
+        flying, marker = np.ones(n, bool), np.zeros((n, 2))
         with world("ardrone.urdf", n, self.START) as place:
             for h in range(self.HORIZON + 1):
                 poses[:, h] = place.poses()
@@ -170,20 +175,24 @@ class ARDrone:
                 altitude = np.maximum(poses[:, h, 2], self.SONAR)
                 state = np.column_stack([-marker / [4, 3], (altitude - self.SONAR) / 3])
                 if h:
-                    command = np.linalg.norm(actions[:, h - 1], axis=1)
-                    rewards[flying, h - 1] = (-10 * np.linalg.norm(state * [1, 1, 3], axis=1) - command)[flying]
-                low, high = self.WINDOW.T
-                lands = flying & visible & (altitude <= self.SONAR) & ((low < marker) & (marker < high)).all(axis=1)
-                place.rest(np.flatnonzero(lands))
-                flying &= ~lands
+                    cost = 10 * np.linalg.norm(state * [1, 1, 3], axis=1) + np.linalg.norm(commands[:, h - 1], axis=1)
+                    rewards[:, h - 1] = np.where(flying, -cost, 0)
+                flying &= ~self.lands(marker, visible, altitude)
+                place.rest(np.flatnonzero(~flying))
                 states[flying, h] = state[flying]
                 if h == self.HORIZON:
                     break
                 actions[:, h] += visible[:, None] * (gains @ states[:, h, :, None])[:, :, 0]
                 actions[altitude >= self.CEILING, h, 2] = -0.1
-                actions[:, h] = flying[:, None] * np.clip(actions[:, h], -1, 1)
-                self.fly(place, actions[:, h] + [*self.disturbance, 0] + gusts[:, h], flying)
+                actions[:, h] *= flying[:, None]
+                commands[:, h] = flying[:, None] * np.clip(actions[:, h] + [*self.disturbance, 0], -1, 1)
+                self.fly(place, commands[:, h] + gusts[:, h], flying)
         return RollOuts(states, actions, rewards, poses)
+
+    def lands(self, marker: np.ndarray, visible: np.ndarray, altitude: np.ndarray) -> np.ndarray:
+        """Return which drones land now (n,): as low as can be measured, with the marker (n, 2) within the window."""
+        low, high = self.WINDOW.T
+        return visible & (altitude <= self.SONAR) & ((low <= marker) & (marker <= high)).all(axis=1)
 
     def succeeded(self, out: RollOuts) -> np.ndarray:
         """Return which roll-outs end landed on the marker: (n,)."""
@@ -223,7 +232,7 @@ class World:
     """A physics server with a plane and ``count`` robots; positions are counted from each robot's start."""
 
     def __init__(self, client, urdf: str, count: int, height: float):
-        self.client, side = client, int(np.ceil(np.sqrt(count)))
+        self.client, self.resting, side = client, set(), int(np.ceil(np.sqrt(count)))
         self.places = SPACING * np.column_stack([*np.divmod(np.arange(count), side), np.zeros(count)])
         pybullet.setGravity(0, 0, -GRAVITY, client)
         pybullet.setPhysicsEngineParameter(
@@ -236,6 +245,7 @@ class World:
         self.robots = [self.load(urdf, place + [0, 0, height]) for place in self.places]
 
     def load(self, urdf, position):
+        _check(urdf)
         robot = pybullet.loadURDF(str(FOLDER / urdf), position, flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
                                   physicsClientId=self.client)  # fmt: skip
         pybullet.changeDynamics(robot, -1, linearDamping=0, angularDamping=0, physicsClientId=self.client)
@@ -271,7 +281,8 @@ class World:
 
     def rest(self, which):
         """Put some robots on the ground for good."""
-        for i in which:
+        for i in set(which) - self.resting:
+            self.resting.add(i)
             place, turn = pybullet.getBasePositionAndOrientation(self.robots[i], self.client)
             pybullet.changeDynamics(self.robots[i], -1, mass=0, physicsClientId=self.client)
             pybullet.resetBasePositionAndOrientation(self.robots[i], [*place[:2], 0.05], turn, self.client)
@@ -297,11 +308,18 @@ def render(client: int, eye, target, up, view: float, rows: int, columns: int) -
 
 def portrait(bodies: dict, eye, target, up=(0, 0, 1), view: float = 0.8, rows: int = 360, columns: int = 480):
     """Return a picture (rows, columns, 3), row 0 above, of bodies {URDF: pose (7,)} on a chequered floor."""
-    with world("", 0, 0.0) as place:
+    with world("", 0, 0.0) as place:  # no robots yet: each has a pose of its own
         for urdf, pose in bodies.items():
             body = place.load(urdf, [0, 0, 0])
             pybullet.resetBasePositionAndOrientation(body, pose[:3], pose[3:], place.client)
         return render(place.client, eye, target, up, view, rows, columns)[0]
+
+
+def drone_view(pose: np.ndarray, rows: int, columns: int) -> np.ndarray:
+    """Return what the downward camera of a drone at ``pose`` (7,) sees: (rows, columns, 3), row 0 above."""
+    turn = Rotation.from_quat(pose[3:])
+    return portrait({"marker.urdf": (0, 0, 0, 0, 0, 0, 1)}, pose[:3], pose[:3] - turn.apply([0, 0, 1]),
+                    turn.apply([0, 1, 0]), ARDrone.VIEW, rows, columns)  # fmt: skip
 
 
 @contextmanager
@@ -311,6 +329,20 @@ def world(urdf: str, count: int, height: float):
         yield World(client, urdf, count, height)
     finally:
         pybullet.disconnect(client)
+
+
+@cache
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _check(urdf: str) -> None:
+    """Refuse a robot that is not the one that stored runs were made with."""
+    path = FOLDER / urdf
+    if not path.is_file():
+        raise ValueError(f"{path} is missing: restore data/robots")
+    if not _digest(path).startswith(CHECKSUMS[urdf]):
+        raise ValueError(f"{path} is not the one of this version: restore it, or enter its sha256 in CHECKSUMS")
 
 
 def _require_within(values, limit: float, what: str) -> None:

@@ -43,6 +43,8 @@ LOOKS = {
     "random start": Look("#882255", "<", (0, (3, 1, 1, 1)), "..."),
     # chapter 3: what stands beside PG-ELLA
     "mean start": Look("#009E73", "^", (0, (5, 1.5, 1, 1.5)), ""),
+    "random basis": Look("#882255", "<", (0, (3, 1, 1, 1)), ""),
+    "other task": Look("#999999", "s", (0, (1, 1)), ""),
     "by hand": Look("#0072B2", "", (0, (3, 1, 1, 1)), ""),
     "without faults": Look("#CC79A7", "", (0, (5, 1.5)), ""),
     # chapter 5: where a network was trained first, and what became of it
