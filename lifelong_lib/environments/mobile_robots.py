@@ -244,9 +244,9 @@ class World:
         pybullet.changeDynamics(plane, -1, lateralFriction=1.0, physicsClientId=client)
         self.robots = [self.load(urdf, place + [0, 0, height]) for place in self.places]
 
-    def load(self, urdf, position):
+    def load(self, urdf, position, look=pybullet.URDF_IGNORE_VISUAL_SHAPES):
         _check(urdf)
-        robot = pybullet.loadURDF(str(FOLDER / urdf), position, flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
+        robot = pybullet.loadURDF(str(FOLDER / urdf), position, flags=pybullet.URDF_USE_INERTIA_FROM_FILE | look,
                                   physicsClientId=self.client)  # fmt: skip
         pybullet.changeDynamics(robot, -1, linearDamping=0, angularDamping=0, physicsClientId=self.client)
         return robot
@@ -310,7 +310,7 @@ def portrait(bodies: dict, eye, target, up=(0, 0, 1), view: float = 0.8, rows: i
     """Return a picture (rows, columns, 3), row 0 above, of bodies {URDF: pose (7,)} on a chequered floor."""
     with world("", 0, 0.0) as place:  # no robots yet: each has a pose of its own
         for urdf, pose in bodies.items():
-            body = place.load(urdf, [0, 0, 0])
+            body = place.load(urdf, [0, 0, 0], look=0)
             pybullet.resetBasePositionAndOrientation(body, pose[:3], pose[3:], place.client)
         return render(place.client, eye, target, up, view, rows, columns)[0]
 
