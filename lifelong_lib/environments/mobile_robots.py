@@ -35,7 +35,7 @@ FOLDER = Path(__file__).resolve().parents[2] / "data" / "robots"
 CHECKSUMS = {"turtlebot.urdf": "1d60d88a15f8", "ardrone.urdf": "422ed34c5073", "marker.urdf": "4688f8a2e9fe"}
 GRAVITY = 9.81  # [m/s^2]
 SPACING = 200.0  # [m] between the robots of a world, more than any of them can drive or fly
-PHYSICS_STEP = 0.04  # [s]; the tests show what half of it would change
+PHYSICS_STEP = 0.05  # [s]; the tests show what half of it would change
 
 
 class RollOuts(NamedTuple):
@@ -236,7 +236,7 @@ class World:
         self.places = SPACING * np.column_stack([*np.divmod(np.arange(count), side), np.zeros(count)])
         pybullet.setGravity(0, 0, -GRAVITY, client)
         pybullet.setPhysicsEngineParameter(
-            PHYSICS_STEP, deterministicOverlappingPairs=1, physicsClientId=client,
+            PHYSICS_STEP, deterministicOverlappingPairs=1, physicsClientId=client, solverResidualThreshold=1e-3,
             contactBreakingThreshold=0.5,  # a wheel touches in one point: those it leaves behind would brake it by 5 %
         )  # fmt: skip
         plane = pybullet.createMultiBody(0, pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client),
