@@ -41,12 +41,6 @@ LOOKS = {
     "warm start": Look("#D55E00", "P", "-", "++"),
     "random": Look("#666666", "1", (0, (1, 3)), "ooo"),
     "random start": Look("#882255", "<", (0, (3, 1, 1, 1)), "..."),
-    # chapter 3: what stands beside PG-ELLA
-    "mean start": Look("#009E73", "^", (0, (5, 1.5, 1, 1.5)), ""),
-    "random basis": Look("#882255", "<", (0, (3, 1, 1, 1)), ""),
-    "other task": Look("#999999", "s", (0, (1, 1)), ""),
-    "by hand": Look("#0072B2", "", (0, (3, 1, 1, 1)), ""),
-    "without faults": Look("#CC79A7", "", (0, (5, 1.5)), ""),
     # chapter 5: where a network was trained first, and what became of it
     "right": Look("#0072B2", "o", "-", ""),
     "left": Look("#E69F00", "D", (0, (5, 1.5)), "xxx"),
@@ -58,6 +52,12 @@ LOOKS = {
     "reverse transfer": Look("#666666", "s", (0, (5, 1.5)), "///"),
     "pre-trained": Look("#0072B2", "o", "-", ""),
     "from scratch": Look("#E69F00", "D", (0, (5, 1.5)), "xxx"),
+    # chapter 3: what stands beside PG-ELLA (new looks come last: the place decides where markers stand)
+    "mean start": Look("#009E73", "^", (0, (5, 1.5, 1, 1.5)), ""),
+    "random basis": Look("#882255", "<", (0, (3, 1, 1, 1)), ""),
+    "other task": Look("#999999", "s", (0, (1, 1)), ""),
+    "by hand": Look("#0072B2", "", (0, (3, 1, 1, 1)), ""),
+    "without faults": Look("#CC79A7", "", (0, (5, 1.5)), ""),
 }
 STYLE = {
     "font.family": "DejaVu Sans", "font.size": 8, "axes.titlesize": 9, "axes.titleweight": "bold",
