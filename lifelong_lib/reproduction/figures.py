@@ -56,8 +56,8 @@ LOOKS = {
     "mean start": Look("#009E73", "^", (0, (5, 1.5, 1, 1.5)), ""),
     "random basis": Look("#882255", "<", (0, (3, 1, 1, 1)), ""),
     "other task": Look("#999999", "s", (0, (1, 1)), ""),
-    "by hand": Look("#0072B2", "", (0, (3, 1, 1, 1)), ""),
-    "without faults": Look("#CC79A7", "", (0, (5, 1.5)), ""),
+    "by hand": Look("#0072B2", "P", (0, (3, 1, 1, 1)), ""),
+    "without faults": Look("#CC79A7", "v", (0, (5, 1.5)), ""),
 }
 STYLE = {
     "font.family": "DejaVu Sans", "font.size": 8, "axes.titlesize": 9, "axes.titleweight": "bold",
