@@ -205,7 +205,7 @@ def busy(moments=21, **more):
     image = np.zeros((moments, 4, 6, 3))
     image[:, 0, 0] = np.linspace(0, 1, moments)[:, None]
     crowd = {"crowd": (centres, (0.2, 0.2, 0.2), turns)}
-    return replace(pendulum(angle, "#666666"), crowds=crowd, images={"view": image}, **more)
+    return replace(pendulum(angle, "#666666"), **{"crowds": crowd, "images": {"view": image}} | more)
 
 
 def test_crowds_and_images_are_recorded_whole_and_the_window_is_the_one_asked_for(tmp_path):
@@ -222,6 +222,14 @@ def test_crowds_and_images_are_recorded_whole_and_the_window_is_the_one_asked_fo
     assert path.with_suffix(".png").read_bytes() != other.with_suffix(".png").read_bytes()
     again = save(tmp_path / "c", {"watched": busy(moment=20)}, window=((-7, -1, -1), (7, 1, 2)))
     assert exact(path) == exact(again) and rerun_compare(path, again) == 0
+
+
+def test_every_image_of_a_scene_has_a_place_of_its_own_in_the_still(tmp_path):
+    scene = busy(images={"black": np.zeros((21, 4, 6, 3)), "green": np.tile([0.0, 1, 0], (21, 4, 6, 1))})
+    picture = imread(save(tmp_path, {"watched": scene}).with_suffix(".png"))[..., :3]
+    green = np.all(picture == [0, 1, 0], axis=2)
+    black = np.all(picture == 0, axis=2) & green.any(axis=1)[:, None]
+    assert black.sum() >= green.sum() > 1000 and green.nonzero()[1].min() > black.nonzero()[1].min()
 
 
 def test_a_window_replaces_what_moves_and_the_crowd_does_not_widen_the_views():

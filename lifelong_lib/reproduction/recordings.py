@@ -223,8 +223,9 @@ def _layout(name, scenes, series_units, backwards, corners):
     plots = [rrb.TimeSeriesView(origin=f"/series/{rr.escape_entity_path_part(key)}", name=f"{key} [{unit}]")
              for key, unit in series_units.items()]
     below = rrb.Horizontal(*plots, rrb.TextDocumentView(origin="/caption", name=name))
-    images = [rrb.Spatial2DView(origin=f"/images/{rr.escape_entity_path_part(title)}", name=f"what {title} sees")
-              for title, scene in scenes.items() if scene.images]
+    images = [rrb.Spatial2DView(origin="/".join(["/images", *map(rr.escape_entity_path_part, (title, key))]),
+                                name=f"{title}: {key}")
+              for title, scene in scenes.items() for key in scene.images]  # one view each, or they hide each other
     middle = [rrb.Horizontal(*images)] if images else []
     return rrb.Blueprint(rrb.Vertical(rrb.Grid(*views), *middle, below, row_shares=[3, *[2 for _ in middle], 2]),
                          rrb.TimePanel(timeline="time", loop_mode="all"), auto_views=False, collapse_panels=True)
@@ -245,9 +246,10 @@ def _write_still(path, scenes, seconds_per_step, series_units, caption, backward
         views = upper.subplots(1, len(scenes), squeeze=False)[0]
         plots = lower.subplots(1, len(series_units), squeeze=False)[0]
         for figure_of_images in middle:
-            _draw_images(figure_of_images.subplots(1, len(scenes), squeeze=False)[0], scenes)
+            _draw_images(figure_of_images, scenes, seconds_per_step)
         for view, line_style, (title, scene) in zip(views, itertools.cycle(_LINE_STYLES), scenes.items(), strict=False):
-            view.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xticks=[], yticks=[], xlabel=scene.outcome)
+            view.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xticks=[], yticks=[])
+            view.set_xlabel(textwrap.fill(scene.outcome, max(100 // len(scenes), 12)))
             view.set_title(title, color=scene.colour, fontweight="bold")
             _draw_moments(view, scene, camera)
             for plot, (key, unit) in zip(plots, series_units.items(), strict=True):
@@ -260,11 +262,11 @@ def _write_still(path, scenes, seconds_per_step, series_units, caption, backward
         figure.savefig(path, format="png", dpi=120, metadata={"Software": None})  # a version would change the bytes
 
 
-def _draw_images(places, scenes):
-    for axes, scene in zip(places, scenes.values(), strict=True):
-        for name, values in scene.images.items():
-            axes.imshow(np.clip(values[scene.moment], 0, 1), origin="lower", interpolation="nearest")
-            axes.set(xticks=[], yticks=[], xlabel=f"{name} at that moment")
+def _draw_images(figure, scenes, seconds_per_step):
+    seen = [(scene, name, values) for scene in scenes.values() for name, values in scene.images.items()]
+    for axes, (scene, name, values) in zip(figure.subplots(1, len(seen), squeeze=False)[0], seen, strict=True):
+        axes.imshow(np.clip(values[scene.moment], 0, 1), origin="lower", interpolation="nearest")
+        axes.set(xticks=[], yticks=[], xlabel=f"{name} after {scene.moment * seconds_per_step:g} s")
 
 
 def _draw_moments(axes, scene, camera):
