@@ -117,7 +117,8 @@ def test_the_number_of_a_cell_stands_in_the_cell(chapter):
 TOGETHER = [  # names that may stand in one figure
     ["TaDeMTL", "GO-MTL", "TaDeLL", "PG-ELLA", "ELLA", "PG", "STL", "Sinapov et al.", "warm start", "random",
      "random start"],
-    ["PG", "PG-ELLA", "mean start", "random basis", "other task", "by hand", "without faults", "random"],
+    ["PG", "PG-ELLA", "mean start", "random basis", "other task", "other sources", "by hand", "without faults",
+     "random"],
     ["right", "left", "left2", "forward", "challenge", "random start"],
     ["single task", "direct copy", "reverse transfer"],
     ["pre-trained", "from scratch", "random"],
