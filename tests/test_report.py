@@ -126,6 +126,12 @@ def test_findings_stand_beside_the_claims_that_do_not_hold(tmp_path, monkeypatch
     assert "C4.2" not in page and "Not explained" not in page
 
 
+@pytest.mark.parametrize("profile", ["quick", "paper"])
+def test_every_claim_of_the_reference_that_does_not_hold_is_explained(profile):
+    rows = json.loads((book.ROOT / "figures" / "reference" / profile / "claims.json").read_text())
+    assert "Not explained" not in book._missing_page(rows)
+
+
 def test_formulas_become_mathml_and_unknown_ones_stay_readable(project):
     source = r"\theta^{(t)} = \arg\min_{\mathbf{s}} \lVert s \rVert_1 + \frac{1}{T}\sum_{t=1}^{T} \boldsymbol{L} s"
     drawn = draw(source)
