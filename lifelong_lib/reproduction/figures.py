@@ -58,7 +58,7 @@ LOOKS = {
     "other task": Look("#999999", "s", (0, (1, 1)), ""),
     "by hand": Look("#0072B2", "P", (0, (3, 1, 1, 1)), ""),
     "without faults": Look("#CC79A7", "v", (0, (5, 1.5)), ""),
-    "other sources": Look("#56B4E9", "v", (0, (1, 1.5)), ""),
+    "other sources": Look("#56B4E9", "o", (0, (1, 1.5)), ""),
 }
 STYLE = {
     "font.family": "DejaVu Sans", "font.size": 8, "axes.titlesize": 9, "axes.titleweight": "bold",
