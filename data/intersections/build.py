@@ -47,6 +47,10 @@ def sources(lanes: int, goal: str) -> dict[str, str]:
                    for start, end, lane, onto in links]  # fmt: skip
     driver = ['<param key="has.driverstate.device" value="true"/>']
     driver += ['<param key="device.driverstate.initialAwareness" value="0.5"/>']  # drivers misjudge gaps and speeds
+    # what a driver noticed last is kept by the other car's address in memory, which differs from run to run: with
+    # thresholds of 0 every change is noticed at once, and nothing depends on it
+    driver += [f'<param key="device.driverstate.{change}ChangePerceptionThreshold" value="0"/>'
+               for change in ("headway", "speedDifference")]  # fmt: skip
     traffic = ['<vType id="car" carFollowModel="IDM" length="5" width="1.8" speedFactor="normc(1,0.1,0.5,1.5)" '
                'jmIgnoreJunctionFoeProb="1">']  # who has right of way does not brake for a car that crosses
     traffic += [f"    {line}" for line in driver] + ["</vType>"]
