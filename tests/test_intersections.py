@@ -134,6 +134,20 @@ def test_without_a_seed_the_same_traffic_drives_on_and_so_does_the_order_of_chan
     assert libsumo.vehicle.getSpeed("ego") == 0 and env.steps == 0
 
 
+def test_traffic_that_drives_on_does_not_depend_on_where_cars_lie_in_memory(junction):
+    """SUMO's drivers remember other cars by their address; with its own thresholds one of these trials has two ends."""
+    env, waits = junction("right"), {9: [0], 25: [1], 43: [2], 44: [0], 124: [1]}
+
+    def drive():
+        return [digest(trial(env, None if k else 1359935555, [*waits.get(k, []), GO])) for k in range(145)]
+
+    first = drive()
+    for number in range(10):
+        pieces = [bytes(size) for size in np.random.default_rng(number).integers(600, 3000, 20_000)]
+        pieces = pieces[::2]  # what is left has gaps of the size of cars
+        assert drive() == first and pieces
+
+
 @pytest.mark.parametrize("task", ["right", "challenge"])
 def test_trials_with_and_without_a_seed_are_equally_hard(task, junction):
     env, counts = junction(task), []
