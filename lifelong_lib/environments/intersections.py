@@ -62,9 +62,9 @@ class Intersection(gym.Env):
         self._files = {kind: checked(Path(folder) / f"{task}.{kind}.xml") for kind in ("net", "rou")}
 
     def reset(self, *, seed: int | None = None, options: dict | None = None):
-        """Begin a trial: with a ``seed`` in traffic of its own, the same in every process; without, 10 s later.
+        """Begin a trial, with a ``seed`` in traffic of its own, the same in every process; return observation and info.
 
-        The traffic of the trial before then drives on, which takes a fraction of the time of new traffic.
+        Without one the traffic of the last trial drives on for 10 s, which takes a fraction of the time.
         """
         super().reset(seed=seed)
         if seed is not None or _running is not self:
@@ -87,7 +87,7 @@ class Intersection(gym.Env):
         return grid(self.cars()[1], self._origin), {"steps": 0, "outcome": ""}
 
     def step(self, action):
-        """Wait or go: (observation, discounted reward of the steps that it took, terminated, truncated, info)."""
+        """Wait or go: (observation, discounted reward of its steps, terminated, truncated, info)."""
         if self._ended:
             raise RuntimeError("the trial has ended, or was never begun: reset the environment first")
         before, outcome, going = self.steps, "", action == GO
@@ -107,9 +107,9 @@ class Intersection(gym.Env):
         return grid(self.cars()[1], self._origin), reward, bool(outcome), late, info
 
     def cars(self) -> tuple[np.ndarray, np.ndarray]:
-        """Poses of the ego car (1, 4), or (0, 4) once it has left, and of all others near (n, 4): x, y, heading, speed.
+        """Poses of the ego car (1, 4), or (0, 4) once it has left, and of others within 130 m of the junction (n, 4).
 
-        In metres, radians from the x axis to the left, and metres a second; a position is the middle of the car.
+        x, y [m] of the car's middle, heading [rad] from the x axis to the left, speed [m/s].
         """
         found = libsumo.junction.getContextSubscriptionResults("centre")
         own = [found.pop("ego")] if "ego" in found else []
@@ -155,7 +155,7 @@ gym.register("lifelong_lib/Intersection-v0", f"{__name__}:Intersection")
 
 
 def checked(file: Path) -> Path:
-    """Return a file of data/intersections if it is there and has the checksum that build.py wrote down."""
+    """Return a file of data/intersections with the checksum that build.py wrote down; ValueError for any other."""
     if not file.exists():
         raise ValueError(f"{file} is missing; data/intersections/build.py makes it")
     known = dict(line.split()[::-1] for line in (file.parent / "SHA256SUMS").read_text().splitlines())

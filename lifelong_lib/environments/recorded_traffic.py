@@ -37,7 +37,7 @@ class Recording:
     frame_rate: float  # [1/s]
     cars: list[np.ndarray]  # for each frame (n, 4): x, y [m], heading [rad] from the x axis to the left, speed [m/s]
     labels: np.ndarray  # (frames,) bool: whether going is safe
-    tracks: list[np.ndarray]  # for each vehicle's track (n, 2): x, y; to draw a map of
+    tracks: list[np.ndarray]  # for each vehicle's track (n, 2): x, y [m]; to draw a map
 
     @property
     def duration(self) -> float:
@@ -48,8 +48,8 @@ class Recording:
 class RecordedTraffic(gym.Env):
     """A trial: wait 1, 2, 4 or 8 steps along the recording, or go, which ends it as the label of the seen frame says.
 
-    A trial begins at any frame that 20 s of recording follow. A step is 0.2 s, in which there are several frames; what
-    is seen is one of them, drawn anew, so that a short recording gives many trials. Nobody reacts to what the car does.
+    A trial begins at any frame that 20.2 s of recording follow. A step is 0.2 s; what is seen is one of the frames in
+    it, drawn anew, so that a short recording gives many trials. Nobody reacts to what the car does.
     Actions, observations, rewards, ``discount`` and ``info`` are those of `Intersection` in local coordinates, but
     going takes one step. Raises ValueError for a recording that is too short or has not a frame in every step.
     """
@@ -68,7 +68,7 @@ class RecordedTraffic(gym.Env):
         self.action_space = gym.spaces.Discrete(GO + 1)
 
     def reset(self, *, seed: int | None = None, options: dict | None = None):
-        """Begin a trial at a random frame."""
+        """Begin a trial at a random frame: (observation, info)."""
         super().reset(seed=seed)
         self._start, self.steps, self._ended = int(self.np_random.integers(self._starts)), 0, False
         return self._look(), {"steps": 0, "outcome": ""}

@@ -1,7 +1,6 @@
 """The deep Q-network of chapters 5 to 7, its training on whole returns, its evaluation (thesis sections 2.1.3, 5.4).
 
-Environments are Gymnasium's, with images (18, 26, 3) or the like and few actions; an action may take several steps,
-which `info["steps"]` tells, and `info["outcome"]` names how a trial ended. Everything runs on one thread.
+Environments are Gymnasium's, with images; ``info`` has the ``steps`` that an action took and the trial's ``outcome``.
 """
 
 from collections.abc import Callable
@@ -35,8 +34,9 @@ class QNetwork(nn.Module):
         return self.layers(images.permute(0, 3, 1, 2))
 
     def best(self, image: np.ndarray) -> int:
-        """Return the action of largest value for one image, with all nodes in place."""
-        self.eval()
+        """Return the action of largest value for one image (rows, columns, channels), with all nodes in place."""
+        if self.training:
+            self.eval()
         with torch.inference_mode():
             return int(self(torch.from_numpy(image)[None])[0].argmax())
 
@@ -53,12 +53,11 @@ class QNetwork(nn.Module):
 
 
 class ReplayBuffer:
-    """The latest ``capacity`` experiences: image, action and return. Older ones are overwritten."""
+    """The latest ``capacity`` experiences: image of ``shape``, action and return. Older ones are overwritten."""
 
     def __init__(self, capacity: int, shape: tuple):
-        self.images = np.zeros((capacity, *shape), np.float32)
+        self.images, self.added = np.zeros((capacity, *shape), np.float32), 0
         self.actions, self.returns = np.zeros(capacity, np.int64), np.zeros(capacity, np.float32)
-        self.added = 0
 
     def __len__(self):
         return min(self.added, len(self.returns))
@@ -70,7 +69,7 @@ class ReplayBuffer:
         self.added += 1
 
     def sample(self, size: int, rng: np.random.Generator) -> tuple[torch.Tensor, ...]:
-        """Return ``size`` experiences drawn with repetition: images, actions, returns."""
+        """Return ``size`` experiences drawn with repetition: images (size, *shape), actions and returns (size,)."""
         chosen = rng.integers(len(self), size=size)
         return tuple(torch.from_numpy(part[chosen]) for part in (self.images, self.actions, self.returns))
 
@@ -93,12 +92,14 @@ class DQN:
     """Deep Q-learning on returns: they are known when a trial ends, so that no target network is needed.
 
     One *iteration* is one decision followed by one update of ``batch`` experiences; updates begin when ``warm_up``
-    experiences are stored. ``epsilon``: share of random actions; ``rate``: of RMSProp; ``discount``: a step.
+    experiences are stored. ``rate``: step size of RMSProp, which adds ``damping`` to root mean squares of gradients;
+    ``discount``: of one time step; ``epsilon``: share of random actions; ``capacity``: experiences kept.
     """
 
     network: QNetwork
     seed: np.random.SeedSequence
-    rate: float = 2.5e-4
+    rate: float = 1e-4
+    damping: float = 1e-6
     discount: float = 0.99
     epsilon: float = 0.05
     batch: int = 60
@@ -107,9 +108,8 @@ class DQN:
     iterations: int = field(default=0, init=False)
 
     def __post_init__(self):
-        trials, choices, batches = self.seed.spawn(3)
-        self._trials, self._choices, self._batches = (np.random.default_rng(s) for s in (trials, choices, batches))
-        self.optimiser = torch.optim.RMSprop(self.network.parameters(), lr=self.rate, alpha=0.95, eps=0.01)
+        self._trials, self._choices, self._batches = map(np.random.default_rng, self.seed.spawn(3))
+        self.optimiser = torch.optim.RMSprop(self.network.parameters(), lr=self.rate, alpha=0.95, eps=self.damping)
         self.buffer = None
 
     def train(self, env, iterations: int, every: int = 0, look: Callable = lambda: None) -> list:
@@ -117,7 +117,7 @@ class DQN:
 
         ``look`` is called between trials, as the process may hold one simulation only and it may use ``env``; ``env``
         is seeded at the start and after each look. A trial that is under way when the iterations are over is finished,
-        without updates. Raises Diverged when a loss is not below 10,000, the hundredfold of any return squared.
+        without updates. Raises Diverged when a loss is not below 10,000; no return is further from 0 than 2.
         """
         buffer = self.buffer = self.buffer or ReplayBuffer(self.capacity, env.observation_space.shape)
         seen, end, looks = [look()] if every else [], self.iterations + iterations, 1
@@ -142,7 +142,7 @@ class DQN:
         return seen
 
     def update(self, buffer: ReplayBuffer) -> float:
-        """One step of RMSProp on the squared error of the values of a batch; return the loss."""
+        """One step of RMSProp on the squared error of a batch; return the loss. Raises Diverged, as `train` does."""
         images, actions, returns = buffer.sample(self.batch, self._batches)
         self.network.train()
         values = self.network(images).gather(1, actions[:, None])[:, 0]
@@ -156,7 +156,7 @@ class DQN:
 
 
 def evaluate(env, policy: Callable, seeds) -> dict[str, np.ndarray]:
-    """Run ``policy(image) -> action`` for one trial a seed; outcomes (n,), times [steps] (n,) and returns (n,)."""
+    """Run ``policy(image) -> action`` for one trial a seed; outcomes (n,), times [steps] (n,), sums of rewards (n,)."""
     outcomes, times, returns = [], [], []
     for seed in seeds:
         image, ended, time, value = env.reset(seed=int(seed))[0], False, 0, 0.0
