@@ -15,7 +15,7 @@ from pathlib import Path
 try:
     from lifelong_lib.reproduction import notebooks, report
     from lifelong_lib.reproduction.fingerprint import ReproductionError, require
-    from lifelong_lib.reproduction.runs import PROFILES, ROOT
+    from lifelong_lib.reproduction.runs import PROFILES, ROOT, processor
 except ModuleNotFoundError as missing:
     print(f"error: the package {missing.name} is missing from {sys.executable}; ./reproduce.sh installs it",
           file=sys.stderr)
@@ -180,9 +180,11 @@ def plan(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, 
 def audit_runs(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, dict]) -> int:
     """Recomputes `options.audit` stored runs, shared out over the chapters; 1 if any differs or too few are stored."""
     rows = [(grid["chapter"], row) for grid in look(options, chosen, typed) for row in grid["audited"]]
+    here = processor()
     for chapter, row in rows:
         said = "identical" if row["same"] else f"DIFFERENT in {', '.join(row['differs'])}"
-        print(f"chapter {chapter}  {row['run']}: {said}{' (made by older code)' * row['stale']}")
+        elsewhere = f" (made on processor {row['made_on']}, here {here})" * (not row["same"] and row["made_on"] != here)
+        print(f"chapter {chapter}  {row['run']}: {said}{' (made by older code)' * row['stale']}{elsewhere}")
     same = sum(row["same"] for _, row in rows)
     print(f"{same} of {len(rows)} recomputed runs are identical to what is stored")
     if len(rows) < options.audit:

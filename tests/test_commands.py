@@ -13,6 +13,7 @@ from conftest import REPOSITORY, command, make_project, write_notebook
 
 from lifelong_lib.__main__ import main
 from lifelong_lib.bench import Row
+from lifelong_lib.reproduction.runs import processor
 
 
 @pytest.mark.parametrize("arguments, complaint", [
@@ -111,11 +112,15 @@ def test_audit_tells_a_stored_run_that_does_not_come_out_again(project, tmp_path
     assert inside(copy, "audit", "2") == 0
     assert "2 of 2 recomputed runs are identical" in capsys.readouterr().out
     runs = sorted((copy / "data" / "results" / "quick" / "ch04").glob("*/*.npz"))
+    record = runs[0].with_suffix(".json")
+    record.write_text(record.read_text().replace('"processor": "', '"processor": "another than '))
+    assert inside(copy, "audit", str(len(runs))) == 0 and "made on" not in capsys.readouterr().out
     notebook = copy / "notebooks" / "ch04_demonstration.ipynb"
     notebook.write_text(notebook.read_text().replace("(5 + ", "(6 + "))
     assert inside(copy, "run", "--audit", str(len(runs))) == 1
     changed = capsys.readouterr().out
-    assert f"0 of {len(runs)}" in changed and "DIFFERENT in curve" in changed
+    assert f"0 of {len(runs)}" in changed and changed.count("DIFFERENT in curve") == len(runs)
+    assert changed.count(f"(made on processor another than {processor()}, here {processor()})") == 1
 
 
 def test_a_failing_chapter_is_reported_and_the_rest_is_made(tmp_path, inside, capsys):

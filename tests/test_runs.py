@@ -221,6 +221,7 @@ def test_record_says_what_made_the_run(root):
     record = json.loads(next(root.rglob("*cart-pole*s1.json")).read_text())
     assert (record["config"], record["seed"], record["chapter"]) == (CONFIGS[0], 1, 4)
     assert record["versions"]["numpy"] == np.__version__ and record["seconds"] > 0
+    assert record["versions"]["processor"] == runs.processor() != ""
     assert set(record["fingerprint"]) >= {"function experiment", "function helper", "global SCALE"}
 
 
@@ -394,7 +395,7 @@ def test_a_simulator_that_is_not_installed_does_not_stop_other_chapters(root, mo
     card = run_card(chapter())
     assert f"numpy {np.__version__}" in card and "pybullet" not in card
     run_and_read(root)
-    assert set(json.loads(next(root.rglob("*s1.json")).read_text())["versions"]) == {"python", "numpy"}
+    assert set(json.loads(next(root.rglob("*s1.json")).read_text())["versions"]) == {"python", "processor", "numpy"}
 
 
 def test_a_notebook_does_not_keep_the_progress_bar(root, monkeypatch):

@@ -77,13 +77,14 @@ class Chapter:
 
 @dataclass(frozen=True)
 class Run:
-    """One run: configuration, seed, values (name -> array, of shape () for a number), wall time [s], fingerprint."""
+    """One run: its values (name -> array, of shape () for a number), wall time [s], fingerprint and processor."""
 
     config: dict
     seed: int
     values: dict
     seconds: float
     made_by: dict
+    made_on: str
 
 
 class Results(tuple):
@@ -160,12 +161,19 @@ def commit() -> str:
 
 
 def versions(*more: str) -> dict[str, str]:
-    """Of Python, of what learning runs compute with, and of more packages."""
-    found = {"python": platform.python_version()}
+    """Of Python, the processor, what learning runs compute with, and more packages."""
+    found = {"python": platform.python_version(), "processor": processor()}
     for package in PACKAGES + more:
         with contextlib.suppress(metadata.PackageNotFoundError):  # of a simulator that another chapter needs
             found[package] = metadata.version(package)
     return found
+
+
+def processor() -> str:
+    """Vendor, family and model: linear algebra rounds differently on different ones. "GenuineIntel 6 143", "arm64"."""
+    linux = Path("/proc/cpuinfo")
+    entries = re.findall(r"(?m)^(vendor_id|cpu family|model)\s*: (.+)", linux.read_text() if linux.exists() else "")
+    return " ".join(dict(entries).values()) or platform.processor() or platform.machine()
 
 
 def read_json(path: Path, default: object) -> object:
@@ -250,7 +258,8 @@ def _read(path, config, seed, keep) -> Run | None:
         require(sha256(data) == record["sha256"], "its bytes are not those that were written")
         require((_canonical(record["config"]), record["seed"]) == (_canonical(config), seed), "it holds another run")
         with np.load(BytesIO(data), allow_pickle=False) as arrays:
-            return Run(config, seed, dict(arrays), float(record["seconds"]), dict(record["fingerprint"]))
+            values, made_on = dict(arrays), record["versions"].get("processor", "not recorded")
+        return Run(config, seed, values, float(record["seconds"]), dict(record["fingerprint"]), made_on)
     except (ValueError, KeyError, TypeError, FileNotFoundError) as error:
         _warn(f"stored run {path} is damaged and not used: {error}")
     for file in (path, record_path):
@@ -277,7 +286,7 @@ def _compute_and_store(chapter, name, experiment, tasks, parts) -> dict[Path, Ru
                 path.with_suffix(".json").unlink(missing_ok=True)
                 write_atomically(path, data)
                 write_json(path.with_suffix(".json"), record)
-                done[path] = Run(config, seed, values, seconds, parts)
+                done[path] = Run(config, seed, values, seconds, parts, processor())
                 bar.update()
     except KeyboardInterrupt:
         message = f"interrupted: {len(done)} of {len(tasks)} runs of '{name}' are stored, run again for the rest"
@@ -316,7 +325,8 @@ def _audit(chapter, name, experiment, tasks, runs, stale) -> list[dict]:
         old, new = ({key: _npz({"": array}) for key, array in found.items() if not key.startswith("seconds")}
                     for found in (runs[path].values, values))  # fmt: skip
         differs = [key for key in sorted(old.keys() | new.keys()) if old.get(key) != new.get(key)]
-        rows.append({"run": f"{name}/{path.stem}", "same": not differs, "differs": differs, "stale": path in stale})
+        rows.append({"run": f"{name}/{path.stem}", "same": not differs, "differs": differs, "stale": path in stale,
+                     "made_on": runs[path].made_on})
     return sorted(rows, key=lambda row: row["run"])
 
 
