@@ -180,11 +180,10 @@ def plan(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, 
 def audit_runs(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, dict]) -> int:
     """Recomputes `options.audit` stored runs, shared out over the chapters; 1 if any differs or too few are stored."""
     rows = [(grid["chapter"], row) for grid in look(options, chosen, typed) for row in grid["audited"]]
-    here = processor()
     for chapter, row in rows:
-        said = "identical" if row["same"] else f"DIFFERENT in {', '.join(row['differs'])}"
-        elsewhere = f" (made on processor {row['made_on']}, here {here})" * (not row["same"] and row["made_on"] != here)
-        print(f"chapter {chapter}  {row['run']}: {said}{' (made by older code)' * row['stale']}{elsewhere}")
+        where = f"made on processor {row['made_on']}, here {processor()}"
+        said = "identical" if row["same"] else f"DIFFERENT in {', '.join(row['differs'])} ({where})"
+        print(f"chapter {chapter}  {row['run']}: {said}{' (made by older code)' * row['stale']}")
     same = sum(row["same"] for _, row in rows)
     print(f"{same} of {len(rows)} recomputed runs are identical to what is stored")
     if len(rows) < options.audit:

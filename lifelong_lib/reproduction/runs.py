@@ -77,13 +77,14 @@ class Chapter:
 
 @dataclass(frozen=True)
 class Run:
-    """One run: configuration, seed, values (name -> array, of shape () for a number), wall time [s], fingerprint."""
+    """One run: its values (name -> array, of shape () for a number), wall time [s], and what it was made by and with."""
 
     config: dict
     seed: int
     values: dict
     seconds: float
     made_by: dict
+    versions: dict
 
 
 class Results(tuple):
@@ -257,7 +258,8 @@ def _read(path, config, seed, keep) -> Run | None:
         require(sha256(data) == record["sha256"], "its bytes are not those that were written")
         require((_canonical(record["config"]), record["seed"]) == (_canonical(config), seed), "it holds another run")
         with np.load(BytesIO(data), allow_pickle=False) as arrays:
-            return Run(config, seed, dict(arrays), float(record["seconds"]), dict(record["fingerprint"]))
+            return Run(config, seed, dict(arrays), float(record["seconds"]), dict(record["fingerprint"]),
+                       dict(record["versions"]))
     except (ValueError, KeyError, TypeError, FileNotFoundError) as error:
         _warn(f"stored run {path} is damaged and not used: {error}")
     for file in (path, record_path):
@@ -284,7 +286,7 @@ def _compute_and_store(chapter, name, experiment, tasks, parts) -> dict[Path, Ru
                 path.with_suffix(".json").unlink(missing_ok=True)
                 write_atomically(path, data)
                 write_json(path.with_suffix(".json"), record)
-                done[path] = Run(config, seed, values, seconds, parts)
+                done[path] = Run(config, seed, values, seconds, parts, installed)
                 bar.update()
     except KeyboardInterrupt:
         message = f"interrupted: {len(done)} of {len(tasks)} runs of '{name}' are stored, run again for the rest"
@@ -323,8 +325,8 @@ def _audit(chapter, name, experiment, tasks, runs, stale) -> list[dict]:
         old, new = ({key: _npz({"": array}) for key, array in found.items() if not key.startswith("seconds")}
                     for found in (runs[path].values, values))  # fmt: skip
         differs = [key for key in sorted(old.keys() | new.keys()) if old.get(key) != new.get(key)]
-        rows.append({"run": f"{name}/{path.stem}", "same": not differs, "differs": differs, "stale": path in stale})
-        rows[-1]["made_on"] = read_json(path.with_suffix(".json"), {})["versions"].get("processor", "unknown")
+        rows.append({"run": f"{name}/{path.stem}", "same": not differs, "differs": differs, "stale": path in stale,
+                     "made_on": runs[path].versions.get("processor", "one unknown")})
     return sorted(rows, key=lambda row: row["run"])
 
 

@@ -55,19 +55,6 @@ def paired_permutation(differences, seed=0):
                                         rng=seed).pvalue)  # fmt: skip
 
 
-def jump_start(curve, baseline):
-    """Return how much better `curve` (..., n_iterations) starts than `baseline`, shape (...), in units of reward."""
-    return np.asarray(curve, dtype=float)[..., 0] - np.asarray(baseline, dtype=float)[..., 0]
-
-
-def area_between(curve, baseline):
-    """Return the area between two curves (..., n_iterations) per iteration: their mean gap, in units of reward.
-
-    Dividing by the length keeps the number comparable between budgets. Positive where `curve` lies above.
-    """
-    return np.mean(np.asarray(curve, dtype=float) - np.asarray(baseline, dtype=float), axis=-1)
-
-
 def iterations_to_level(curve, level):
     """Return the first index at which `curve` (..., n_iterations) is at least `level`, shape (...); nan if never.
 
