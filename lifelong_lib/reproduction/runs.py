@@ -77,7 +77,7 @@ class Chapter:
 
 @dataclass(frozen=True)
 class Run:
-    """One run: its values (name -> array, of shape () for a number), wall time [s], and what it was made by and with."""
+    """One run: its values (name -> array, of shape () for a number), wall time [s], and what made it."""
 
     config: dict
     seed: int
