@@ -17,8 +17,7 @@ try:
     from lifelong_lib.reproduction.fingerprint import ReproductionError, require
     from lifelong_lib.reproduction.runs import PROFILES, ROOT, processor
 except ModuleNotFoundError as missing:
-    print(f"error: the package {missing.name} is missing from {sys.executable}; ./reproduce.sh installs it",
-          file=sys.stderr)
+    print(f"error: {sys.executable} has no package {missing.name}; ./reproduce.sh installs it", file=sys.stderr)
     sys.exit(2)
 
 

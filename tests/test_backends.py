@@ -7,9 +7,11 @@ import os
 import re
 import subprocess
 import sys
+import threading
 import time
 
 import pytest
+from joblib.externals.loky import process_executor
 
 from lifelong_lib.reproduction.backends import completed
 from lifelong_lib.reproduction.fingerprint import ReproductionError
@@ -64,6 +66,27 @@ def test_a_failing_run_stops_the_others():
     start = time.monotonic()
     run(one_fails, [{"seconds": 0.01}], workers=2)
     assert time.monotonic() - start < 15  # else both workers were still asleep
+
+
+@pytest.mark.parametrize("number", [1, 4, 5, 6])  # the first four fill the queue, the others follow as runs end
+def test_an_interruption_between_a_submission_and_its_takeover_leaves_no_error_in_another_thread(monkeypatch, number):
+    def soon(config, seed):
+        time.sleep(0.05)
+        return {"x": 1}
+
+    def wakeup(self):  # how loky tells its own thread that something was submitted
+        submissions.append(sys._getframe(1).f_code.co_name == "submit")
+        if submissions[-1] and sum(submissions) == number:
+            raise KeyboardInterrupt
+        woken(self)
+
+    submissions, errors, woken = [], [], process_executor._ThreadWakeup.wakeup
+    run(soon, [{}] * 2, workers=2)  # starts the workers
+    monkeypatch.setattr(process_executor._ThreadWakeup, "wakeup", wakeup)
+    monkeypatch.setattr(threading, "excepthook", errors.append)
+    with pytest.raises(KeyboardInterrupt):
+        run(soon, [{}] * 10, workers=2)
+    assert sum(submissions) >= number and not errors
 
 
 def test_a_dying_worker_is_one_line():

@@ -35,7 +35,7 @@ def completed(experiment: Callable, calls: Mapping, backend: str, workers: int, 
     waiting, running = list(reversed(calls.items())), {}
     with _loky(workers) if backend == "loky" else _dask(address) as (executor, size):
         while waiting or running:
-            while waiting and len(running) < 2 * size:  # a short queue: loky trips over a long one when stopped early
+            while waiting and len(running) < 2 * size:  # a short queue, which loky takes over at once: see _loky
                 key, call = waiting.pop()
                 running[executor.submit(_compute, blob, *call)] = key
             for future in wait(running, return_when=FIRST_COMPLETED).done:
@@ -78,15 +78,19 @@ def _arrays(values) -> dict[str, np.ndarray]:
 @contextlib.contextmanager
 def _loky(workers):
     """Worker processes on this machine, kept for the next grid, stopped at once after an error or Ctrl-C."""
-    pool = get_reusable_executor(workers, timeout=60, initializer=_prepare_worker)
-    with contextlib.ExitStack() as on_error:
-        on_error.callback(pool.shutdown, kill_workers=True)
-        try:
-            yield pool, workers
-        except BrokenExecutor as error:
-            message = "a worker process died (out of memory, or a crash in a simulator): fewer workers need less memory"
-            raise ReproductionError(message) from error
-        on_error.pop_all()
+    pool, failed = get_reusable_executor(workers, timeout=60, initializer=_prepare_worker), True
+    try:
+        yield pool, workers
+        failed = False
+    except BrokenExecutor as error:
+        raise ReproductionError("a worker process died (a crash, or no memory left): use fewer workers") from error
+    finally:
+        if failed:
+            with contextlib.suppress(BrokenExecutor):
+                last = pool.submit(int)  # loky's own thread takes calls in order, and would fail on one not yet taken
+                while not (last.running() or last.done()):
+                    time.sleep(0.001)
+            pool.shutdown(kill_workers=True)
 
 
 def _prepare_worker():
@@ -114,9 +118,8 @@ def _dask(address):
         gc.collect()  # found only while the next client starts, the failed one would make that wait forever
         raise ReproductionError(f"no Dask scheduler answers at {address}: start it, or use loky")
     with client:
-        threads = client.nthreads()
-        message = f"Dask at {address}: start workers with --nthreads 1, it has {set(threads.values()) or 'none'}"
-        require(set(threads.values()) == {1}, message)
+        threads = list(client.nthreads().values())
+        require(set(threads) == {1}, f"Dask at {address}: start workers with --nthreads 1, it has {threads or 'none'}")
         try:
             yield client.get_executor(), len(threads)
         except KilledWorker as error:
