@@ -17,7 +17,7 @@ try:
     from lifelong_lib.reproduction.fingerprint import ReproductionError, require
     from lifelong_lib.reproduction.runs import PROFILES, ROOT, processor
 except ModuleNotFoundError as missing:
-    print(f"error: {sys.executable} has no package {missing.name}; ./reproduce.sh installs it", file=sys.stderr)
+    print(f"error: the package {missing.name} is missing in {sys.executable}; run ./reproduce.sh", file=sys.stderr)
     sys.exit(2)
 
 
