@@ -87,8 +87,8 @@ def _loky(workers):
     finally:
         if failed:
             with contextlib.suppress(BrokenExecutor):
-                last = pool.submit(int)  # loky's own thread takes calls in order, and would fail on one not yet taken
-                while not (last.running() or last.done()):
+                last, end = pool.submit(int), time.monotonic() + 1  # loky's thread fails on calls it has not yet taken
+                while not (last.running() or last.done()) and time.monotonic() < end:
                     time.sleep(0.001)
             pool.shutdown(kill_workers=True)
 
@@ -119,7 +119,7 @@ def _dask(address):
         raise ReproductionError(f"no Dask scheduler answers at {address}: start it, or use loky")
     with client:
         threads = list(client.nthreads().values())
-        require(set(threads) == {1}, f"Dask at {address}: start workers with --nthreads 1, it has {threads or 'none'}")
+        require(set(threads) == {1}, f"Dask at {address}: workers need --nthreads 1, it has {set(threads) or 'none'}")
         try:
             yield client.get_executor(), len(threads)
         except KilledWorker as error:
