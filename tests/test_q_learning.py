@@ -1,4 +1,4 @@
-"""The network, the buffer and the training loop, by hand arithmetic and in worlds with a known answer."""
+"""Trials, memory, training loop and evaluation, by hand arithmetic and in worlds with a known answer."""
 
 import gymnasium as gym
 import numpy as np
@@ -8,9 +8,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from lifelong_lib.learners.q_learning import DQN, Diverged, QNetwork, ReplayBuffer, evaluate, returns_to_go
+from lifelong_lib.learners.networks import Dense, Network
+from lifelong_lib.learners.q_learning import (
+    DQN,
+    Diverged,
+    ReplayBuffer,
+    Settings,
+    Trial,
+    evaluate,
+    q_network,
+    returns_to_go,
+    run_trial,
+)
 
 SHAPE = (11, 11, 1)
+KNOBS = {"rate": 1e-3, "damping": 1e-6, "decay": 0.95, "discount": 0.99, "epsilon": 0.05, "batch": 60, "warm_up": 50}
 
 
 class Lamp(gym.Env):
@@ -42,40 +54,121 @@ class Lamp(gym.Env):
         return self.image(), self.scale * (1.0 if good else -1.0), ended, False, {"steps": 1, "outcome": outcome}
 
 
-def learner(seed=0, **more):
-    network = QNetwork(2, SHAPE, seed=seed)
-    return DQN(network, np.random.SeedSequence(seed), rate=1e-3, warm_up=50, capacity=500, **more)
+class Traps(gym.Env):
+    """Three doors on a vector: the first is the best by reward, but a mask closes it, and who opens it is caught."""
+
+    observation_space = gym.spaces.Box(0, 1, (2,), np.float32)
+    action_space = gym.spaces.Discrete(3)
+    caught = 0
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        return np.ones(2, np.float32), {"action_mask": np.array([False, True, True])}
+
+    def step(self, action):
+        self.caught += action == 0
+        return np.ones(2, np.float32), (3.0, 1.0, 2.0)[action], True, False, {"action_mask": np.ones(3, bool)}
 
 
-def weights(network):
-    return b"".join(part.detach().numpy().tobytes() for part in network.parameters())
+def learner(seed=0, penalty=None, network=None, capacity=500, **knobs):
+    network = network or q_network(2, SHAPE, seed)
+    memory = ReplayBuffer(capacity, network.shapes[0])
+    return DQN(network, memory, Settings(**KNOBS | knobs), np.random.SeedSequence(seed), penalty)
 
 
-def test_the_network_is_that_of_section_5_4():
-    network = QNetwork(5)
-    shapes = [tuple(part.shape) for part in network.parameters()]
-    assert shapes == [(32, 3, 6, 6), (32,), (64, 32, 3, 3), (64,), (100, 960), (100,), (5, 100), (5,)]
-    assert network(torch.zeros(7, 18, 26, 3)).shape == (7, 5)
-    assert sum(isinstance(layer, torch.nn.LeakyReLU) for layer in network.layers) == 3
+def trial_of(images, actions, returns):
+    """A trial made by hand; what the memory does not read is left empty."""
+    none = np.zeros(0)
+    return Trial(np.array(images), none, np.array(actions), none, none, np.array(returns), {})
 
 
-def test_a_seed_draws_the_weights_and_leaves_the_generator_of_torch_alone():
-    before = torch.random.get_rng_state()
-    assert weights(QNetwork(5, seed=1)) == weights(QNetwork(5, seed=1)) != weights(QNetwork(5, seed=2))
-    assert torch.equal(torch.random.get_rng_state(), before)
+def numbered(first, count, action=0):
+    """A trial whose images and returns are the numbers from `first` on."""
+    images = np.arange(first, first + count + 1, dtype=np.float32)[:, None]
+    return trial_of(images, np.arange(first, first + count) % 3, -images[:-1, 0])
 
 
-def test_weights_come_back_and_those_of_another_shape_are_refused():
-    one, other = QNetwork(5, seed=1), QNetwork(5, seed=2)
-    given = one.get_weights()
-    assert given.shape == (118_589,) and given.tobytes() == weights(one)
-    other.set_weights(given)
-    given[:] = 0
-    assert weights(other) == weights(one)
-    with pytest.raises(ValueError, match=r"this network has 118589 weights; those given have shape \(118488,\)"):
-        one.set_weights(QNetwork(4).get_weights())
-    with pytest.raises(ValueError, match=r"those given have shape \(2, 118589\)"):
-        one.set_weights(np.zeros((2, 118_589)))
+# ------------------------------------------------------------------------------------------------------------- trials
+
+def test_a_trial_holds_what_happened():
+    env, seen = Lamp(), []
+    trial = run_trial(env, lambda image, mask: 1, 0.5, seed=3, between=lambda: seen.append(env.left))
+    lit = [int(image[:, 5:].sum() > image[:, :5].sum()) for image in trial.images]
+    expected = [1.0 if side else -1.0 for side in lit[:2]]
+    assert trial.images.shape == (3, *SHAPE) and trial.masks.shape == (3, 2) and trial.masks.all()
+    assert trial.rewards.tolist() == expected and trial.steps.tolist() == [1, 1] and trial.actions.tolist() == [1, 1]
+    assert np.allclose(trial.returns, [expected[0] + 0.5 * expected[1], expected[1]])
+    assert trial.info["outcome"] == ("success" if sum(lit[:2]) == 2 else "collision") and seen == [1, 0]
+
+
+def test_the_same_seed_is_the_same_trial():
+    first, again, other = (run_trial(Lamp(), lambda image, mask: 0, 1.0, seed) for seed in (1, 1, 2))
+    assert first.images.tobytes() == again.images.tobytes() != other.images.tobytes()
+
+
+def test_returns_of_decisions_that_take_several_steps():
+    found = returns_to_go([-0.1, -0.2, 1.0], [2, 1, 4], 0.5)
+    assert np.allclose(found, [-0.1 + 0.25 * (-0.2 + 0.5), -0.2 + 0.5, 1.0])
+    assert np.allclose(returns_to_go([1, 1, 1], [1, 1, 1], 1.0), [3, 2, 1])
+
+
+def test_masks_hold_in_acting_exploring_and_evaluation_and_are_kept_in_the_trial():
+    env, network = Traps(), Network((2,), [Dense(3)], 0)
+    network.weights[:] = 0
+    network.weights[6] = 5.0  # the bias of the first door: the network itself would always open it
+    one = learner(network=network, rate=1e-2, epsilon=0.5)
+    one.train(env, 300)
+    evaluate(env, network.best, range(50))
+    assert env.caught == 0
+    trial = run_trial(env, network.best, 1.0)
+    assert trial.masks.tolist() == [[False, True, True], [True, True, True]] and trial.actions.tolist() == [2]
+    assert network.best(np.ones(2, np.float32)) == 0  # nothing was learned of the door that stayed closed
+    evaluate(env, lambda seen, mask: 0, range(1))
+    assert env.caught == 1
+
+
+# ------------------------------------------------------------------------------------------------------------- memory
+
+@given(capacity=st.integers(1, 8), lengths=st.lists(st.integers(1, 5), min_size=1, max_size=8))
+@settings(max_examples=60, deadline=None)
+def test_the_buffer_holds_the_latest_experiences_and_nothing_else(capacity, lengths):
+    buffer, count = ReplayBuffer(capacity, (1,)), 0
+    for length in lengths:
+        buffer.add(numbered(count, length))
+        count += length
+    assert len(buffer) == min(capacity, count)
+    images, actions, returns = buffer.sample(200, np.random.default_rng(0))
+    kept = set(range(max(0, count - capacity), count))
+    assert set(images[:, 0].astype(int)) <= kept
+    assert (actions == images[:, 0].astype(int) % 3).all() and (returns == -images[:, 0]).all()
+    assert {int(number) for number in buffer.images[: len(buffer), 0]} == kept
+
+
+def test_experiences_are_sampled_alike():
+    buffer = ReplayBuffer(20, (1,))
+    buffer.add(numbered(0, 25))
+    numbers = buffer.sample(20_000, np.random.default_rng(1))[0][:, 0].astype(int)
+    assert stats.chisquare(np.bincount(numbers, minlength=25)[5:]).pvalue > 0.001
+
+
+@pytest.mark.parametrize("capacity", [0, -3])
+def test_a_buffer_without_room_is_refused(capacity):
+    with pytest.raises(ValueError, match=f"a replay buffer holds 1 experience or more, not {capacity}"):
+        ReplayBuffer(capacity, (1,))
+
+
+def test_a_memory_smaller_than_the_warm_up_is_refused_and_does_not_wait_for_ever():
+    with pytest.raises(ValueError, match="the memory holds 20 experiences, fewer than the warm-up needs"):
+        learner(capacity=20).train(Lamp(), 1)
+
+
+# ----------------------------------------------------------------------------------------------------------- learning
+
+def test_settings_have_no_second_defaults_and_do_not_change():
+    with pytest.raises(TypeError, match="missing 7 required"):
+        Settings()
+    with pytest.raises(AttributeError):
+        Settings(**KNOBS).rate = 1
 
 
 def test_an_environment_is_seeded_at_the_start_and_after_each_look_only():
@@ -87,94 +180,69 @@ def test_an_environment_is_seeded_at_the_start_and_after_each_look_only():
             return super().reset(seed=seed)
 
     learner().train(Counted(), 40, every=20, look=lambda: seeds.append("look"))
-    given = [i for i, seed in enumerate(seeds) if isinstance(seed, int)]
-    assert given == [i + 1 for i, seed in enumerate(seeds[:-1]) if seed == "look"] and len(given) == 2
-    assert len({seeds[i] for i in given}) == 2 and seeds.count("look") == 3
-
-
-def test_dropout_acts_in_training_only():
-    network, image = QNetwork(2, SHAPE, dropout=0.5), torch.ones(1, *SHAPE)
-    network.train()
-    assert not torch.equal(network(image), network(image))
-    network.best(image[0].numpy())
-    assert torch.equal(network(image), network(image))
-
-
-def test_returns_of_decisions_that_take_several_steps():
-    found = returns_to_go([-0.1, -0.2, 1.0], [2, 1, 4], 0.5)
-    assert np.allclose(found, [-0.1 + 0.25 * (-0.2 + 0.5), -0.2 + 0.5, 1.0])
-    assert np.allclose(returns_to_go([1, 1, 1], [1, 1, 1], 1.0), [3, 2, 1])
-
-
-@given(capacity=st.integers(1, 8), count=st.integers(1, 30))
-@settings(max_examples=60, deadline=None)
-def test_the_buffer_holds_the_latest_experiences_and_nothing_else(capacity, count):
-    buffer = ReplayBuffer(capacity, (1,))
-    for i in range(count):
-        buffer.add(np.array([i]), i % 3, -i)
-    assert len(buffer) == min(capacity, count)
-    images, actions, returns = buffer.sample(200, np.random.default_rng(0))
-    kept = set(range(max(0, count - capacity), count))
-    assert set(images[:, 0].int().tolist()) <= kept
-    assert (actions == images[:, 0].int() % 3).all() and (returns == -images[:, 0]).all()
-    assert {int(i) for i in buffer.images[: len(buffer), 0]} == kept
-
-
-def test_experiences_are_sampled_alike():
-    buffer = ReplayBuffer(20, (1,))
-    for i in range(25):
-        buffer.add(np.array([i]), 0, 0.0)
-    counts = np.bincount(buffer.sample(20_000, np.random.default_rng(1))[0][:, 0].int(), minlength=25)[5:]
-    assert stats.chisquare(counts).pvalue > 0.001
+    given_seeds = [i for i, seed in enumerate(seeds) if isinstance(seed, int)]
+    assert given_seeds == [i + 1 for i, seed in enumerate(seeds[:-1]) if seed == "look"] and len(given_seeds) == 2
+    assert len({seeds[i] for i in given_seeds}) == 2 and seeds.count("look") == 3
 
 
 def test_an_update_is_one_step_of_rmsprop_on_the_squared_error_of_the_actions_taken():
-    one, other = learner(damping=0.02), QNetwork(2, SHAPE, seed=0)
-    buffer = ReplayBuffer(1, SHAPE)
-    image = np.random.default_rng(0).random(SHAPE, np.float32)
-    buffer.add(image, 1, 0.7)
-    value = other(torch.from_numpy(image)[None])[0, 1]
-    loss = (value - 0.7) ** 2
-    loss.backward()
-    found = one.update(buffer)
-    assert found == pytest.approx(loss.item(), rel=1e-5)
-    for new, old in zip(one.network.parameters(), other.parameters(), strict=True):
-        expected = old - 1e-3 * old.grad / ((0.05 * old.grad**2).sqrt() + 0.02)
-        assert torch.allclose(new, expected, atol=1e-6)
+    one, other = learner(damping=0.02), q_network(2, SHAPE, 0)
+    image = np.random.default_rng(0).random((2, *SHAPE), np.float32)
+    one.memory.add(trial_of(image, [1], [0.7]))
+    passed = other.forward(torch.from_numpy(image[:1]))
+    value = passed[-1][1][0, 1].item()
+    other.backward(passed, torch.tensor([[0.0, 2 * (value - 0.7)]]))  # the derivative of (value - 0.7)^2
+    assert one.update() == pytest.approx((value - 0.7) ** 2, rel=1e-5)
+    gradient = other.gradient
+    expected = other.weights - 1e-3 * gradient / ((0.05 * gradient**2).sqrt() + 0.02)
+    assert torch.allclose(one.network.weights, expected, atol=1e-6)
+
+
+def test_a_penalty_pulls_the_weights_where_it_is_least():
+    free, held = (learner(penalty=penalty) for penalty in (None, lambda weights: 1e3 * weights))
+    for one in (free, held):
+        one.train(Lamp(), 100)
+    assert held.network.weights.abs().mean() < 0.3 * free.network.weights.abs().mean()
+    nothing = learner(penalty=torch.zeros_like)
+    nothing.train(Lamp(), 100)
+    assert (nothing.network.weights == free.network.weights).all()
+
+
+def success(env, network):
+    return np.mean([info["outcome"] == "success" for info in evaluate(env, network.best, range(200))])
 
 
 def test_it_learns_a_world_that_cannot_fail_and_a_random_network_does_not():
     env, one = Lamp(), learner()
-
-    def rate():
-        return (evaluate(env, one.network.best, range(200))["outcomes"] == "success").mean()
-
-    seen = one.train(env, 400, every=200, look=rate)
+    seen = one.train(env, 400, every=200, look=lambda: success(env, one.network))
     assert len(seen) == 3 and seen[0] < 0.6 and seen[-1] == 1.0
-    values = one.network(torch.from_numpy(np.stack([env.reset(seed=s)[0] for s in range(20)])))
+    values = one.network.values(np.stack([env.reset(seed=s)[0] for s in range(20)]))
     # An image does not tell the first step from the last: the mean of 1 + 0.99 * 0.95 (a twentieth of actions is
     # random, and half of those are right) and 1.
-    expected = (1 + 0.99 * 0.95 + 1) / 2
-    assert torch.allclose(values.max(dim=1).values, torch.tensor(expected), atol=0.1)
+    assert np.allclose(values.max(axis=1), (1 + 0.99 * 0.95 + 1) / 2, atol=0.1)
     assert one.iterations == 400
 
 
 def test_the_same_seed_gives_the_same_weights_and_another_one_does_not():
-    trained = [learner(seed) for seed in (0, 0, 1)]
+    trained = [learner(seed, network=q_network(2, SHAPE, seed, dropout=0.5)) for seed in (0, 0, 1)]
     for one in trained:
         one.train(Lamp(), 30)
-    first, again, other = (weights(one.network) for one in trained)
+    first, again, other = (one.network.get_weights().tobytes() for one in trained)
     assert first == again != other
 
 
-def test_divergence_is_reported():
-    with pytest.raises(Diverged, match=r"the loss of iteration 0 is .*; lower the rate"):
-        learner().train(Lamp(scale=1e4), 10)
+def test_divergence_is_judged_against_the_returns_that_were_met():
+    large = learner()
+    large.train(Lamp(scale=1e4), 10)  # returns of 10,000 are no divergence where rewards are 10,000
+    assert np.abs(large.memory.returns).max() > 1e4
+    with pytest.raises(Diverged, match=r"the mean squared error of iteration \d+ is .*; lower the rate"):
+        learner(rate=1e4).train(Lamp(), 100)
 
 
 def test_evaluation_counts_what_happens():
     env = Lamp()
-    right = evaluate(env, lambda image: int(image[0, 5:].sum() > image[0, :5].sum()), range(10))
-    assert (right["outcomes"] == "success").all() and (right["returns"] == 2).all() and (right["times"] == 2).all()
-    wrong = evaluate(env, lambda image: int(image[0, 5:].sum() < image[0, :5].sum()), range(10))
-    assert (wrong["outcomes"] == "collision").all() and (wrong["returns"] == -2).all()
+    right = evaluate(env, lambda image, mask: int(image[:, 5:].sum() > image[:, :5].sum()), range(10))
+    assert all((info["outcome"], info["return"], info["time"]) == ("success", 2.0, 2) for info in right)
+    wrong = evaluate(env, lambda image, mask: int(image[:, 5:].sum() < image[:, :5].sum()), range(10))
+    assert all((info["outcome"], info["return"], info["time"]) == ("collision", -2.0, 2) for info in wrong)
+    assert len(right) == 10

@@ -1,77 +1,69 @@
-"""The deep Q-network of chapters 5 to 7, its training on whole returns, its evaluation (thesis sections 2.1.3, 5.4).
+"""Deep Q-learning on whole returns, as in chapters 5 to 7 (thesis sections 2.1.3, 5.4), and the evaluation of a policy.
 
-Environments are Gymnasium's, with images; ``info`` has the ``steps`` that an action took and the trial's ``outcome``.
+Environments are Gymnasium's. ``info`` has the ``steps`` that an action took (1 where it does not say), and may have an
+``action_mask`` (n_actions,) of what is allowed next. A policy is a function of an observation and such a mask.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Protocol
 
+import gymnasium as gym
 import numpy as np
 import torch
-from torch import nn
+
+from lifelong_lib.learners.networks import Convolution, Dense, Network, RMSProp
 
 
-class QNetwork(nn.Module):
-    """Two convolutions (32 of 6 x 6, 64 of 3 x 3, stride 2, no padding), 100 nodes and a value for each action.
+def q_network(actions: int, shape: tuple, seed: int, dropout: float = 0.0) -> Network:
+    """The network of section 5.4: 32 filters of 6 x 6, 64 of 3 x 3, stride 2, then 100 nodes and a value an action.
 
-    Leaky ReLUs throughout; ``dropout`` is the share of the 100 nodes that is left out in training. ``shape``: rows,
-    columns, channels of the input. ``seed`` draws the weights, and nothing else of torch's generator is touched.
+    ``shape``: of an observation. One without rows and columns, (features,), goes to the 100 nodes at once.
+    """
+    convolutions = [Convolution(32, 6, 2), Convolution(64, 3, 2)] if len(shape) == 3 else []
+    return Network(shape, [*convolutions, Dense(100), Dense(actions)], seed, dropout=dropout)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What happened from a reset to the end: n decisions.
+
+    images (n + 1, ...): what was seen before each decision and at the end; masks (n + 1, n_actions): what was allowed
+    there; actions, rewards, steps (n,): each action, its reward and how many steps it took; returns (n,): the
+    discounted sum of rewards from each decision to the end; info: the last one of the environment.
     """
 
-    def __init__(self, actions: int, shape: tuple = (18, 26, 3), dropout: float = 0.0, seed: int = 0):
-        super().__init__()
-        with torch.random.fork_rng():
-            torch.manual_seed(seed)
-            rows, columns = (((size - 6) // 2 + 1 - 3) // 2 + 1 for size in shape[:2])
-            self.layers = nn.Sequential(
-                nn.Conv2d(shape[2], 32, 6, stride=2), nn.LeakyReLU(), nn.Conv2d(32, 64, 3, stride=2), nn.LeakyReLU(),
-                nn.Flatten(), nn.Linear(64 * rows * columns, 100), nn.LeakyReLU(), nn.Dropout(dropout),
-                nn.Linear(100, actions),
-            )  # fmt: skip
-
-    def forward(self, images: torch.Tensor) -> torch.Tensor:
-        """Values (n, actions) of images (n, rows, columns, channels)."""
-        return self.layers(images.permute(0, 3, 1, 2))
-
-    def best(self, image: np.ndarray) -> int:
-        """Return the action of largest value for one image (rows, columns, channels), with all nodes in place."""
-        if self.training:
-            self.eval()
-        with torch.inference_mode():
-            return int(self(torch.from_numpy(image)[None])[0].argmax())
-
-    def get_weights(self) -> np.ndarray:
-        """All weights, layer after layer (n,)."""
-        return nn.utils.parameters_to_vector(self.parameters()).detach().numpy().copy()
-
-    def set_weights(self, weights: np.ndarray) -> None:
-        """Take over what `get_weights` gave; raises ValueError for those of a network of another shape."""
-        needed = sum(part.numel() for part in self.parameters())
-        if np.shape(weights) != (needed,):
-            raise ValueError(f"this network has {needed} weights; those given have shape {np.shape(weights)}")
-        nn.utils.vector_to_parameters(torch.tensor(weights, dtype=torch.float32), self.parameters())
+    images: np.ndarray
+    masks: np.ndarray
+    actions: np.ndarray
+    rewards: np.ndarray
+    steps: np.ndarray
+    returns: np.ndarray
+    info: dict
 
 
-class ReplayBuffer:
-    """The latest ``capacity`` experiences: image of ``shape``, action and return. Older ones are overwritten."""
+def run_trial(env: gym.Env, policy: Callable, discount: float, seed: int | None = None, between=None) -> Trial:
+    """Run ``policy(observation, mask) -> action`` until the trial ends.
 
-    def __init__(self, capacity: int, shape: tuple):
-        self.images, self.added = np.zeros((capacity, *shape), np.float32), 0
-        self.actions, self.returns = np.zeros(capacity, np.int64), np.zeros(capacity, np.float32)
-
-    def __len__(self):
-        return min(self.added, len(self.returns))
-
-    def add(self, image: np.ndarray, action: int, value: float) -> None:
-        """Store one experience in the place of the oldest."""
-        place = self.added % len(self.returns)
-        self.images[place], self.actions[place], self.returns[place] = image, action, value
-        self.added += 1
-
-    def sample(self, size: int, rng: np.random.Generator) -> tuple[torch.Tensor, ...]:
-        """Return ``size`` experiences drawn with repetition: images (size, *shape), actions and returns (size,)."""
-        chosen = rng.integers(len(self), size=size)
-        return tuple(torch.from_numpy(part[chosen]) for part in (self.images, self.actions, self.returns))
+    ``discount``: of one step. ``seed``: for the environment's reset. ``between()`` is called after each decision.
+    """
+    image, info = env.reset(seed=seed)
+    everything = np.ones(env.action_space.n, bool)
+    images, masks = [image], [info.get("action_mask", everything)]
+    actions, rewards, steps, ended = [], [], [], False
+    while not ended:
+        action = policy(images[-1], masks[-1])
+        image, reward, terminated, truncated, info = env.step(action)
+        ended = terminated or truncated
+        images.append(image)
+        masks.append(info.get("action_mask", everything))
+        actions.append(action)
+        rewards.append(reward)
+        steps.append(info.get("steps", 1))
+        if between:
+            between()
+    returns = returns_to_go(rewards, steps, discount)
+    return Trial(*map(np.array, (images, masks, actions, rewards, steps)), returns, info)
 
 
 def returns_to_go(rewards: list[float], steps: list[int], discount: float) -> np.ndarray:
@@ -83,87 +75,137 @@ def returns_to_go(rewards: list[float], steps: list[int], discount: float) -> np
     return returns
 
 
+class Memory(Protocol):
+    """What a learner remembers. Chapter 6 has others than `ReplayBuffer`."""
+
+    def __len__(self) -> int:
+        """How many experiences there are."""
+
+    def add(self, trial: Trial, network: Network) -> None:
+        """Store what a trial brought; ``network`` may be asked what it is worth."""
+
+    def sample(self, size: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """``size`` experiences: images (size, ...), actions (size,) and returns (size,)."""
+
+
+class ReplayBuffer:
+    """A memory of the latest ``capacity`` experiences: images of ``shape``, actions, returns.
+
+    Raises ValueError for a capacity below 1.
+    """
+
+    def __init__(self, capacity: int, shape: tuple):
+        if capacity < 1:
+            raise ValueError(f"a replay buffer holds 1 experience or more, not {capacity}")
+        self.images, self.added = np.zeros((capacity, *shape), np.float32), 0
+        self.actions, self.returns = np.zeros(capacity, np.int64), np.zeros(capacity, np.float32)
+
+    def __len__(self):
+        return min(self.added, len(self.returns))
+
+    def add(self, trial: Trial, network: Network | None = None) -> None:
+        """Store a trial's experiences, each in the place of the oldest."""
+        for experience in zip(trial.images[:-1], trial.actions, trial.returns, strict=True):
+            place = self.added % len(self.returns)
+            self.images[place], self.actions[place], self.returns[place] = experience
+            self.added += 1
+
+    def sample(self, size: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """``size`` experiences drawn with repetition: images (size, *shape), actions and returns (size,)."""
+        chosen = rng.integers(len(self), size=size)
+        return self.images[chosen], self.actions[chosen], self.returns[chosen]
+
+
 class Diverged(RuntimeError):
     """The network's values left all bounds; what it learned is not to be averaged in."""
 
 
-@dataclass
+@dataclass(frozen=True)
+class Settings:
+    """How a network learns."""
+
+    rate: float  # step size of RMSProp
+    damping: float  # what RMSProp adds to root mean squares of gradients
+    decay: float  # share of the mean square of gradients that RMSProp keeps
+    discount: float  # of one time step
+    epsilon: float  # share of random actions
+    batch: int  # experiences an update
+    warm_up: int  # experiences in the memory before the first update
+
+
 class DQN:
     """Deep Q-learning on returns: they are known when a trial ends, so that no target network is needed.
 
-    One *iteration* is one decision followed by one update of ``batch`` experiences; updates begin when ``warm_up``
-    experiences are stored. ``rate``: step size of RMSProp, which adds ``damping`` to root mean squares of gradients;
-    ``discount``: of one time step; ``epsilon``: share of random actions; ``capacity``: experiences kept.
+    One *iteration* is one decision followed by one update. ``memory`` is given every trial and asked for every batch.
+    ``seed``: a SeedSequence. ``penalty(weights (w,)) -> gradient (w,)``, if any, is added to the gradient (elastic
+    weight consolidation).
     """
 
-    network: QNetwork
-    seed: np.random.SeedSequence
-    rate: float = 1e-4
-    damping: float = 1e-6
-    discount: float = 0.99
-    epsilon: float = 0.05
-    batch: int = 60
-    warm_up: int = 500
-    capacity: int = 20_000
-    iterations: int = field(default=0, init=False)
+    def __init__(self, network: Network, memory: Memory, settings: Settings, seed, penalty: Callable | None = None):
+        self.network, self.memory, self.settings, self.penalty = network, memory, settings, penalty
+        self.optimiser = RMSProp(network, settings.rate, settings.damping, settings.decay)
+        streams = map(np.random.default_rng, seed.spawn(4))
+        self._trials, self._choices, self._batches, self._dropout = streams
+        self.iterations, self._end, self._largest_return = 0, 0, 1.0
 
-    def __post_init__(self):
-        self._trials, self._choices, self._batches = map(np.random.default_rng, self.seed.spawn(3))
-        self.optimiser = torch.optim.RMSprop(self.network.parameters(), lr=self.rate, alpha=0.95, eps=self.damping)
-        self.buffer = None
-
-    def train(self, env, iterations: int, every: int = 0, look: Callable = lambda: None) -> list:
-        """Train for so many iterations; return what ``look()`` gave at the start and every ``every`` iterations.
+    def train(self, env: gym.Env, iterations: int, every: int = 0, look: Callable = lambda: None) -> list:
+        """Learn for so many iterations; return what ``look()`` gave at the start and every ``every`` iterations.
 
         ``look`` is called between trials, as the process may hold one simulation only and it may use ``env``; ``env``
         is seeded at the start and after each look. A trial that is under way when the iterations are over is finished,
-        without updates. Raises Diverged when a loss is not below 10,000; no return is further from 0 than 2.
+        without updates. Raises Diverged, see `update`, and ValueError for a memory that is full before ``warm_up``.
         """
-        buffer = self.buffer = self.buffer or ReplayBuffer(self.capacity, env.observation_space.shape)
-        seen, end, looks = [look()] if every else [], self.iterations + iterations, 1
+        begin, self._end = self.iterations, self.iterations + iterations
+        seen = [look()] if every else []
         seed = int(self._trials.integers(2**31))
-        while self.iterations < end:
-            image, trial, ended, seed = env.reset(seed=seed)[0], [], False, None
-            while not ended:
-                explores = self._choices.random() < self.epsilon
-                action = int(self._choices.integers(env.action_space.n)) if explores else self.network.best(image)
-                following, reward, terminated, truncated, info = env.step(action)
-                trial.append((image, action, reward, info["steps"]))
-                image, ended = following, terminated or truncated
-                if len(buffer) >= self.warm_up and self.iterations < end:
-                    self.update(buffer)
-                    self.iterations += 1
-            images, actions, rewards, steps = zip(*trial, strict=True)
-            for experience in zip(images, actions, returns_to_go(rewards, steps, self.discount), strict=True):
-                buffer.add(*experience)
-            if every and self.iterations >= end - iterations + looks * every:
+        while self.iterations < self._end:
+            trial = run_trial(env, self.explore, self.settings.discount, seed, self.learn)
+            stored = len(self.memory)
+            self.memory.add(trial, self.network)
+            if stored == len(self.memory) < self.settings.warm_up:
+                raise ValueError(f"the memory holds {stored} experiences, fewer than the warm-up needs: enlarge it")
+            self._largest_return = max(self._largest_return, np.abs(trial.returns).max())
+            seed = None  # the next trial goes on in the same traffic
+            if every and self.iterations >= begin + every * len(seen):
                 seen.append(look())
-                looks, seed = looks + 1, int(self._trials.integers(2**31))
+                seed = int(self._trials.integers(2**31))
         return seen
 
-    def update(self, buffer: ReplayBuffer) -> float:
-        """One step of RMSProp on the squared error of a batch; return the loss. Raises Diverged, as `train` does."""
-        images, actions, returns = buffer.sample(self.batch, self._batches)
-        self.network.train()
-        values = self.network(images).gather(1, actions[:, None])[:, 0]
-        loss = ((values - returns) ** 2).mean()
-        if not loss.item() < 1e4:
-            raise Diverged(f"the loss of iteration {self.iterations} is {loss.item():g}; lower the rate")
-        self.optimiser.zero_grad()
-        loss.backward()
+    def explore(self, observation: np.ndarray, mask: np.ndarray) -> int:
+        """The network's best action, or a random one of those that are allowed."""
+        if self._choices.random() < self.settings.epsilon:
+            return int(self._choices.choice(np.flatnonzero(mask)))
+        return self.network.best(observation, mask)
+
+    def learn(self) -> None:
+        """One update, if there is enough to learn from and iterations are left."""
+        if len(self.memory) >= self.settings.warm_up and self.iterations < self._end:
+            self.update()
+            self.iterations += 1
+
+    def update(self) -> float:
+        """One step of RMSProp on the mean squared error of a batch (equation 2.4 with returns); return that error.
+
+        Raises Diverged when estimates are a hundred times as far off as any return that was met is from zero.
+        """
+        images, actions, returns = map(torch.from_numpy, self.memory.sample(self.settings.batch, self._batches))
+        passed = self.network.forward(images, self._dropout)
+        values, taken = passed[-1][1], actions[:, None]
+        errors = values.gather(1, taken) - returns[:, None]
+        loss = float((errors**2).mean())
+        if not loss < (100 * self._largest_return) ** 2:
+            raise Diverged(f"the mean squared error of iteration {self.iterations} is {loss:g}; lower the rate")
+        self.network.backward(passed, torch.zeros_like(values).scatter_(1, taken, 2 * errors / len(errors)))
+        if self.penalty:
+            self.network.gradient += self.penalty(self.network.weights)
         self.optimiser.step()
-        return loss.item()
+        return loss
 
 
-def evaluate(env, policy: Callable, seeds) -> dict[str, np.ndarray]:
-    """Run ``policy(image) -> action`` for one trial a seed; outcomes (n,), times [steps] (n,), sums of rewards (n,)."""
-    outcomes, times, returns = [], [], []
-    for seed in seeds:
-        image, ended, time, value = env.reset(seed=int(seed))[0], False, 0, 0.0
-        while not ended:
-            image, reward, terminated, truncated, info = env.step(policy(image))
-            time, value, ended = time + info["steps"], value + reward, terminated or truncated
-        outcomes.append(info["outcome"])
-        times.append(time)
-        returns.append(value)
-    return {"outcomes": np.array(outcomes), "times": np.array(times), "returns": np.array(returns)}
+def evaluate(env: gym.Env, policy: Callable, seeds: Iterable) -> list[dict]:
+    """Run ``policy(observation, mask) -> action`` for one trial a seed.
+
+    Returns each trial's last info, with the sum of its rewards as ``return`` and its steps in all as ``time``.
+    """
+    trials = (run_trial(env, policy, discount=1.0, seed=int(seed)) for seed in seeds)
+    return [trial.info | {"return": trial.rewards.sum(), "time": trial.steps.sum()} for trial in trials]
