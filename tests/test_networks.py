@@ -7,33 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import nn
 
+from lifelong_lib.bench import torch_twin
 from lifelong_lib.learners.networks import Convolution, Dense, Network, RMSProp
 from lifelong_lib.learners.q_learning import q_network
 
 IMAGE = (18, 26, 3)
-
-
-def in_torch(network):
-    """The same network built of torch's own layers, which differentiate by themselves."""
-    layers, kinds = [], network.layers
-    for number, (kind, shape, (matrix, bias)) in enumerate(zip(kinds, network.shapes, network._parts, strict=False)):
-        if isinstance(kind, Convolution):
-            layer = nn.Conv2d(shape[2], kind.nodes, kind.size, stride=kind.stride)
-            weight = matrix.view(kind.size, kind.size, shape[2], kind.nodes).permute(3, 2, 0, 1)
-        else:
-            layer, weight = nn.Linear(len(matrix), kind.nodes), matrix.t()
-        layer.weight.data, layer.bias.data = weight.clone(), bias[0].clone()
-        if isinstance(kind, Dense) and len(shape) == 3:
-            layers += [Rows(), nn.Flatten()]
-        layers += [layer, *[nn.LeakyReLU(network.slope)] * (number < len(kinds) - 1)]
-    return nn.Sequential(*layers)
-
-
-class Rows(nn.Module):
-    """Channels last, as ours are."""
-
-    def forward(self, images):
-        return images.permute(0, 2, 3, 1)
 
 
 def gradients_in_our_order(model, network):
@@ -57,8 +35,8 @@ def networks():
 
 
 def check_gradient(network, inputs, targets):
-    model = in_torch(network)
-    values = model(inputs.permute(0, 3, 1, 2) if inputs.dim() == 4 else inputs)
+    model = torch_twin(network)
+    values = model(inputs)
     ((values - targets) ** 2).sum().backward()
     passed = network.forward(inputs)
     assert torch.allclose(passed[-1][1], values, atol=1e-5)
@@ -84,20 +62,20 @@ def test_the_networks_of_the_chapters_have_the_right_gradient(shape):
 
 def test_many_updates_lead_where_torch_s_optimiser_leads():
     network = q_network(5, IMAGE, seed=3)
-    model, optimiser = in_torch(network), RMSProp(network, rate=1e-4, damping=1e-4, decay=0.95)
+    model, optimiser = torch_twin(network), RMSProp(network, rate=1e-4, damping=1e-4, decay=0.95)
     other = torch.optim.RMSprop(model.parameters(), lr=1e-4, alpha=0.95, eps=1e-4)
     rng = np.random.default_rng(0)
     for _ in range(20):
         images = torch.from_numpy(rng.random((8, *IMAGE), np.float32))
         targets = torch.from_numpy(rng.random((8, 5), np.float32))
         other.zero_grad()
-        ((model(images.permute(0, 3, 1, 2)) - targets) ** 2).mean().backward()
+        ((model(images) - targets) ** 2).mean().backward()
         other.step()
         passed = network.forward(images)
         network.backward(passed, 2 * (passed[-1][1] - targets) / targets.numel())
         optimiser.step()
     images = torch.from_numpy(rng.random((8, *IMAGE), np.float32))
-    assert torch.allclose(network.forward(images)[-1][1], model(images.permute(0, 3, 1, 2)), atol=1e-4)
+    assert torch.allclose(network.forward(images)[-1][1], model(images), atol=1e-4)
 
 
 def test_a_step_of_rmsprop_by_hand():
@@ -135,14 +113,14 @@ def test_scatter_is_the_transpose_of_gather(rows, columns, size, stride):
 def test_the_network_is_that_of_section_5_4():
     network = q_network(5, IMAGE, seed=0)
     assert network.shapes == [IMAGE, (7, 11, 32), (3, 5, 64), (100,), (5,)]
-    assert [len(matrix) for matrix, _ in network._parts] == [6 * 6 * 3, 3 * 3 * 32, 3 * 5 * 64, 100]
+    assert [len(matrix) for matrix, _ in network.parts] == [6 * 6 * 3, 3 * 3 * 32, 3 * 5 * 64, 100]
     assert len(network.weights) == 118_589 and network.slope == 0.01
 
 
 def test_first_weights_come_from_the_seed_and_lie_within_their_limits():
     one, same, other = (q_network(5, IMAGE, seed).get_weights() for seed in (1, 1, 2))
     assert (one == same).all() and (one != other).any()
-    for matrix, bias in q_network(5, IMAGE, 1)._parts:
+    for matrix, bias in q_network(5, IMAGE, 1).parts:
         limit = len(matrix) ** -0.5
         assert matrix.abs().max() <= limit and bias.abs().max() <= limit
         assert matrix.std().item() == pytest.approx(limit / 3**0.5, rel=0.05)

@@ -84,7 +84,8 @@ class Network:
     outputs. seed: of the first weights, uniform within 1 / sqrt(inputs of a node). slope: of the leaky ReLU below zero.
     dropout: share of the nodes before the outputs that is left out at random in training, the others being scaled up.
 
-    `weights` and `gradient` are vectors (weights,); `shapes` holds the shape of the input and of every layer's output.
+    `weights` and `gradient` are vectors (weights,); `parts` are a layer's matrix (inputs of a node, nodes) and bias
+    (1, nodes) within the weights; `shapes` holds the shape of the input and of every layer's output.
     Raises ValueError for an input that is too small for the layers.
     """
 
@@ -102,7 +103,7 @@ class Network:
         first = [rng.uniform(-limit, limit, math.prod(size)) for limit, size in zip(limits, sizes, strict=True)]
         self.weights = torch.from_numpy(np.concatenate(first).astype(np.float32))
         self.gradient = torch.zeros_like(self.weights)
-        self._parts, self._gradients = (_parts(vector, sizes) for vector in (self.weights, self.gradient))
+        self.parts, self._gradients = (_parts(vector, sizes) for vector in (self.weights, self.gradient))
 
     @torch.inference_mode()
     def forward(self, inputs: torch.Tensor, rng: np.random.Generator | None = None) -> list:
@@ -111,7 +112,7 @@ class Network:
         The last layer's output are the values (n, outputs). rng: draws the nodes that are left out; None: all stay.
         """
         passed, outputs = [], inputs
-        for number, (layer, (matrix, bias)) in enumerate(zip(self.layers, self._parts, strict=True), 1):
+        for number, (layer, (matrix, bias)) in enumerate(zip(self.layers, self.parts, strict=True), 1):
             rows, kept = layer.gather(outputs), None
             outputs = torch.addmm(bias, rows, matrix).view(-1, *self.shapes[number])
             if number < len(self.layers):
@@ -133,7 +134,7 @@ class Network:
             torch.sum(errors, 0, keepdim=True, out=bias_gradient)
             if number > 0:
                 _, outputs, kept = passed[number - 1]
-                errors = self.layers[number].scatter(errors @ self._parts[number][0].t(), self.shapes[number])
+                errors = self.layers[number].scatter(errors @ self.parts[number][0].t(), self.shapes[number])
                 if kept is not None:
                     errors *= kept
                 errors = torch.ops.aten.leaky_relu_backward(errors, outputs, self.slope, True)
