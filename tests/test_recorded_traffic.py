@@ -10,7 +10,8 @@ import pytest
 from conftest import REPOSITORY, trial
 from gymnasium.utils.env_checker import check_env
 
-from lifelong_lib.environments.intersections import COLUMN, GO, ROW, SPEED
+from lifelong_lib.environments.crossing import COLUMN, GO, LENGTH, ROW, SPEED
+from lifelong_lib.environments.pictures import OTHER, OWN
 from lifelong_lib.environments.recorded_traffic import RecordedTraffic, Recording, is_safe, read_recording
 
 FOLDER = REPOSITORY / "data" / "recordings"
@@ -200,7 +201,7 @@ def frame_of(image):
 
 def test_gymnasium_finds_nothing_to_complain_of():
     env = gym.make("lifelong_lib/RecordedTraffic-v0", recording=read_recording(0, FOLDER))
-    check_env(env.unwrapped, skip_render_check=True)
+    check_env(env.unwrapped)
 
 
 @pytest.mark.parametrize(("rate", "windows"), [
@@ -275,6 +276,19 @@ def test_a_car_is_in_the_row_that_counts_from_the_line():
     image, info = RecordedTraffic(recording).reset(seed=0)
     assert np.argwhere(image[:, :, 2]).tolist() == [[3 + 1, 13]] and image[4, 13].tolist() == [1, 1, 1]
     assert info == {"steps": 0, "outcome": ""}
+
+
+def test_the_picture_shows_the_frame_that_is_seen():
+    recording = read_recording(0, FOLDER)
+    env = RecordedTraffic(recording, render_mode="rgb_array")
+    env.reset(seed=0)
+    own, others = env.cars()
+    assert own.tolist() == [[0, -LENGTH / 2, np.pi / 2, 0]] and others is recording.cars[env.frame]
+    blue, orange = (np.argwhere((env.render() == colour).all(axis=2)) for colour in (OTHER, OWN))
+    assert len(blue) > 0 and 150 < len(orange) < 5 * 1.8 * 25  # what is not at its edge of a car of 5 m x 1.8 m
+    shown = (np.abs(others[:, 0]) < 97) & (others[:, 1] > -9) & (others[:, 1] < 45)
+    for x, y, *_ in others[shown]:
+        assert (np.hypot(blue[:, 1] / 5 - 100 - x, 48 - blue[:, 0] / 5 - y) < 0.3).any()
 
 
 def test_a_recording_that_is_too_short_is_refused_and_a_trial_that_has_ended_not_stepped():
