@@ -73,6 +73,14 @@ def test_a_car_that_goes_blindly_collides_and_not_always(task, junction):
 
 
 @each_task
+def test_a_car_is_across_as_soon_as_it_and_five_metres_more_are_on_the_new_road(task, junction):
+    env = junction(task)
+    seed = next(seed for seed in range(60) if trial(env, seed, [GO])[-1][4]["outcome"] == "success")
+    at_end = env.sumo.way_on(TASKS[task])
+    assert 10 <= at_end < 10 + 0.2 * env.cars()[0][0, 3] + 1e-6, seed
+
+
+@each_task
 def test_a_waiting_car_changes_nothing_for_the_traffic(task, junction):
     env, paths = junction(task), []
     for present in (True, False):

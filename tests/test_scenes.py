@@ -60,23 +60,25 @@ def test_every_car_of_a_step_is_there_and_the_rest_is_outside(env):
 
 def test_the_last_pose_is_held_once_the_car_has_left():
     class Leaving:
-        """Two steps; the own car is gone in the second."""
+        """A step in which the own car moves, and two without it; another car is there in these."""
 
         sumo, origin, place = type("Sumo", (), {"noted": None})(), np.zeros(2), 0
 
         def cars(self):
-            return (np.array([[1.0, 2, 3, 4]])[self.place :], np.array([[9.0, 9, 0, 1]])[: self.place])
+            own = [[1.0, 2, 3, 4], [5, 6, 7, 8]][self.place :][:1]
+            return np.reshape(own, (-1, 4)), np.reshape([[9.0, 9, 0, 1]] * (self.place > 1), (-1, 4))
 
         def reset(self, seed):
             return None, {}
 
         def step(self, action):
-            self.place = 1
-            self.sumo.noted.append(self.cars())
+            for self.place in (1, 2, 3):
+                self.sumo.noted.append(self.cars())
             return None, 0.0, True, False, {"outcome": "success"}
 
     watched = watch(Leaving(), lambda image: GO, 0)
-    assert watched.own.tolist() == [[1, 2, 3, 4]] * 2 and watched.others.tolist() == [[[*OUTSIDE]], [[9, 9, 0, 1]]]
+    assert watched.own.tolist() == [[1, 2, 3, 4], [5, 6, 7, 8], [5, 6, 7, 8], [5, 6, 7, 8]]
+    assert watched.others[:, 0].tolist() == [[*OUTSIDE]] * 2 + [[9, 9, 0, 1]] * 2
 
 
 def test_boxes_stand_on_the_ground_and_are_turned_by_the_heading():

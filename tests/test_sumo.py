@@ -126,6 +126,22 @@ def test_roads_are_read_from_the_file_without_a_simulation(task):
     np.testing.assert_allclose(rows, np.arange(len(rows)) - (len(rows) - 1) / 2, atol=1e-6)
 
 
+def test_a_turn_may_be_cut_in_two(tmp_path):
+    (tmp_path / "net.xml").write_text("""<net>
+        <edge id="from_south"><lane id="from_south_0" shape="2,-60 2,-8"/></edge>
+        <edge id=":centre_0"><lane id=":centre_0_0" shape="2,-8 2,-1"/></edge>
+        <edge id=":centre_1"><lane id=":centre_1_0" shape="2,-1 1,2 -8,2"/></edge>
+        <edge id="to_west"><lane id="to_west_0" shape="-8,2 -200,2"/></edge>
+        <junction id="centre" x="0.5" y="-0.5"/>
+        <connection from="from_south" to="to_west" toLane="0" via=":centre_0_0"/>
+        <connection from=":centre_0" to="to_west" toLane="0" via=":centre_1_0"/>
+        <connection from=":centre_1" to="to_west" toLane="0"/>
+    </net>""")
+    lanes, path, middle = read_roads(tmp_path / "net.xml")
+    pieces = [[2, -8], [2, -8], [2, -1], [2, -1], [1, 2], [-8, 2], [-8, 2], [-8 - BEYOND, 2]]
+    assert path.tolist() == pieces and middle.tolist() == [0.5, -0.5] and len(lanes) == 4
+
+
 @pytest.mark.parametrize("task", TASKS)
 def test_the_own_car_begins_where_its_path_does_and_drives_along_it(task):
     env = Intersection(task)
@@ -139,6 +155,6 @@ def test_the_own_car_begins_where_its_path_does_and_drives_along_it(task):
         env.sumo.drive_on(1)
         x, y, heading, _ = env.cars()[0][0]
         front = [x + LENGTH / 2 * np.cos(heading), y + LENGTH / 2 * np.sin(heading)]
-        assert np.linalg.norm(dense - front, axis=1).min() < 0.3
+        assert np.linalg.norm(dense - front, axis=1).min() < 0.05
     assert np.linalg.norm(front - path[0]) > 15
     env.close()

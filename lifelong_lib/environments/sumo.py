@@ -150,7 +150,8 @@ def read_roads(network: Path) -> Roads:
     for lane in tree.iter("lane"):
         lanes[lane.get("id")] = np.array([point.split(",") for point in lane.get("shape").split()], float)
     link, path = tree.find("connection[@from='from_south']"), [lanes["from_south_0"][-1:]]
-    while inner := link.get("via"):  # a turn may be cut into several lanes within the junction
+    while link.get("via"):  # a turn may be cut into several lanes within the junction
+        inner = link.get("via")
         path.append(lanes[inner])
         link = tree.find(f"connection[@from='{inner.rpartition('_')[0]}']")
     start, end = lanes[f"{link.get('to')}_{link.get('toLane')}"][[0, -1]]
