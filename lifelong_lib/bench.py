@@ -120,7 +120,9 @@ def dense_inverse(hessians: str, limit: float, tasks: int = 40, columns: int = 1
 
 def junction(repetitions: int = 20):
     """A trial in SUMO of 100 waits of one step, each observed, against a simulation of as many steps left unread."""
-    from lifelong_lib.environments.intersections import MAX_STEPS, WARM_UP, Intersection
+    from lifelong_lib.environments.crossing import MAX_STEPS
+    from lifelong_lib.environments.intersections import Intersection
+    from lifelong_lib.environments.sumo import WARM_UP
 
     env = Intersection("challenge")
 
@@ -128,7 +130,11 @@ def junction(repetitions: int = 20):
         env.reset(seed=1)
         while not env.step(0)[3]:
             pass
-    bare, ours = medians(repetitions, lambda: env.simulate(1, WARM_UP + 2 + MAX_STEPS), trial)
+
+    def simulation():
+        env.sumo.load(1)
+        env.sumo.drive_on(WARM_UP + 2 + MAX_STEPS)
+    bare, ours = medians(repetitions, simulation, trial)
     env.close()
     yield Row("SUMO: steps a second, observed, against the bare simulation", bare / ours, "at least", 0.8)
 
@@ -138,7 +144,9 @@ def traci_loop(repetitions: int = 5):
 
     Needs the program `sumo` of the pinned release, which nothing else here does; without it there is no such row.
     """
-    from lifelong_lib.environments.intersections import MAX_STEPS, OPTIONS, WARM_UP, Intersection, grid, poses
+    from lifelong_lib.environments.crossing import MAX_STEPS, grid
+    from lifelong_lib.environments.intersections import Intersection
+    from lifelong_lib.environments.sumo import OPTIONS, WARM_UP, poses
 
     if not shutil.which("sumo"):
         print("no program `sumo` here (pip install eclipse-sumo==1.28.0): the row about TraCI is left out")
@@ -147,7 +155,7 @@ def traci_loop(repetitions: int = 5):
 
     env = Intersection("challenge")
     env.reset(seed=1)
-    options = {"net-file": env._files["net"], "route-files": env._files["rou"], "seed": 1} | OPTIONS
+    options = {"net-file": env.sumo.network, "route-files": env.sumo.routes, "seed": 1} | OPTIONS
     traci.start(["sumo", *(str(word) for key, value in options.items() for word in (f"--{key}", value))])
     for _ in range(WARM_UP):
         traci.simulationStep()

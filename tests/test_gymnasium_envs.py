@@ -8,7 +8,8 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from lifelong_lib.environments.dynamical_systems import SYSTEMS, Tasks, draw_tasks
-from lifelong_lib.environments.gymnasium_envs import IDS
+from lifelong_lib.environments.gymnasium_envs import IDS, DynamicalSystem
+from lifelong_lib.environments.pictures import OTHER, PALE
 
 every_system = pytest.mark.parametrize("name", list(SYSTEMS))
 OWN_PARAMETERS = {"spring-mass-damper": [1, 0.1, 3], "cart-pole": [0.5, 0.2, 0.5, 0.1],
@@ -29,6 +30,37 @@ def test_gymnasiums_checker_is_content(name, given):
         check_env(gym.make(IDS[name], parameters=OWN_PARAMETERS[name] if given else None).unwrapped)
     about_limits = ("infinity", "symmetric and normalized")  # the systems have no limits, and units instead of scales
     assert [str(w.message) for w in said if not any(words in str(w.message) for words in about_limits)] == []
+
+
+@every_system
+def test_the_picture_shows_the_state_and_where_it_should_be(name):
+    env = gym.make(IDS[name], parameters=OWN_PARAMETERS[name], render_mode="rgb_array")
+    env.reset(seed=0)
+    at_rest, moved = np.zeros(len(SYSTEMS[name].state)), np.full(len(SYSTEMS[name].state), 0.5)
+    pictures = []
+    for state in (at_rest, moved):
+        env.unwrapped.state = state
+        pictures.append(env.render())
+    blue = [np.argwhere((picture == OTHER).all(axis=2)) for picture in pictures]
+    grey = [(picture == PALE).all(axis=2).sum() for picture in pictures]
+    assert len(blue[0]) > 300 and 0.3 < len(blue[1]) / len(blue[0]) < 3
+    assert grey[1] > grey[0] + 200, "at rest the body hides its goal"
+    assert env.metadata["render_fps"] == round(1 / SYSTEMS[name].step_seconds)
+    if name == "spring-mass-damper":  # 0.5 m to the right, at 200 pixels a metre; the spring grows with it
+        assert blue[1][:, 1].max() - blue[0][:, 1].max() == 100
+    if name == "cart-pole":  # the cart to the right; its pole, of 1 m, leans to the left by 0.5 rad
+        tip = blue[1][blue[1][:, 0].argmin()]
+        assert tip[1] - 477 == pytest.approx(90 * (0.5 - np.sin(0.5)), abs=4)
+    if name == "bicycle":  # tilts to its right
+        assert blue[1][:, 1].mean() > blue[0][:, 1].mean() + 5
+
+
+def test_without_a_mode_there_is_no_picture_and_an_unknown_mode_is_one_clear_line():
+    env = gym.make(IDS["cart-pole"])
+    env.reset(seed=0)
+    assert env.unwrapped.render() is None
+    with pytest.raises(ValueError, match="^no render mode 'ansi'; there are None and 'rgb_array'$"):
+        DynamicalSystem("cart-pole", render_mode="ansi")
 
 
 @every_system

@@ -19,7 +19,7 @@ SOURCES = sorted(LIBRARY.rglob("*.py"))
 NOTEBOOKS = find_notebooks(REPOSITORY / "notebooks")
 # The plan was 2,900 after chapters 2 and 4, which have 3,341: a debt, not a licence. Chapters 3 and 5 bring the rest;
 # with all chapters it must not be more than about 5,500.
-LINES = 4790
+LINES = 5152
 
 # May import from: None = anything of the library. A module that is not listed falls under its package.
 ALLOWED = {
@@ -35,7 +35,7 @@ ALLOWED = {
     "": (),
 }
 ONLY_IN = {"pybullet": ("environments.mobile_robots", "environments.camera_robots"),
-           "libsumo": ("environments.intersections",), "rerun": ("reproduction.recordings",),
+           "libsumo": ("environments.sumo",), "rerun": ("reproduction.recordings",),
            "stable_baselines3": ("bench",)}
 
 # What the notebook of a chapter makes; rows of later issues are added with them.
@@ -90,6 +90,16 @@ def test_a_wrong_direction_is_seen(tmp_path, monkeypatch):
     path.parent.mkdir(parents=True)
     path.write_text("from ..transfer.ella import Ella\nfrom .policy_gradient import x\nimport pybullet, numpy\n")
     assert sorted(forbidden_imports(path)) == ["lifelong_lib.transfer.ella.Ella", "pybullet"]
+
+
+@pytest.mark.parametrize(("module", "loaded"), [
+    ("crossing", False), ("recorded_traffic", False), ("scenes", False), ("gymnasium_envs", False),
+    ("intersections", True)])  # fmt: skip
+def test_only_what_drives_in_sumo_loads_it_whoever_imports_whom(module, loaded):
+    """The whole chain of imports, in a process of its own."""
+    code = f"import sys, lifelong_lib.environments.{module}; print('libsumo' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], cwd=REPOSITORY, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == [str(loaded)]
 
 
 @each_source

@@ -3,6 +3,7 @@
 import importlib.util
 import subprocess
 import sys
+from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
@@ -10,7 +11,8 @@ import pytest
 from conftest import REPOSITORY, trial
 from gymnasium.utils.env_checker import check_env
 
-from lifelong_lib.environments.intersections import COLUMN, GO, ROW, SPEED
+from lifelong_lib.environments.crossing import COLUMN, GO, LENGTH, ROW, SPEED
+from lifelong_lib.environments.pictures import OTHER, OWN
 from lifelong_lib.environments.recorded_traffic import RecordedTraffic, Recording, is_safe, read_recording
 
 FOLDER = REPOSITORY / "data" / "recordings"
@@ -200,7 +202,7 @@ def frame_of(image):
 
 def test_gymnasium_finds_nothing_to_complain_of():
     env = gym.make("lifelong_lib/RecordedTraffic-v0", recording=read_recording(0, FOLDER))
-    check_env(env.unwrapped, skip_render_check=True)
+    check_env(env.unwrapped)
 
 
 @pytest.mark.parametrize(("rate", "windows"), [
@@ -275,6 +277,19 @@ def test_a_car_is_in_the_row_that_counts_from_the_line():
     image, info = RecordedTraffic(recording).reset(seed=0)
     assert np.argwhere(image[:, :, 2]).tolist() == [[3 + 1, 13]] and image[4, 13].tolist() == [1, 1, 1]
     assert info == {"steps": 0, "outcome": ""}
+
+
+def test_the_picture_shows_the_frame_that_is_seen():
+    recording = read_recording(0, FOLDER)
+    env = RecordedTraffic(recording, render_mode="rgb_array")
+    env.reset(seed=0)
+    own, others = env.cars()
+    assert own.tolist() == [[0, -LENGTH / 2, np.pi / 2, 0]] and others is recording.cars[env.frame]
+    blue, orange = (np.argwhere((env.render() == colour).all(axis=2)) for colour in (OTHER, OWN))
+    assert len(blue) > 0 and 150 < len(orange) < 5 * 1.8 * 25  # what is not at its edge of a car of 5 m x 1.8 m
+    shown = (np.abs(others[:, 0]) < 97) & (others[:, 1] > -9) & (others[:, 1] < 45)
+    for x, y, *_ in others[shown]:
+        assert (np.hypot(blue[:, 1] / 5 - 100 - x, 48 - blue[:, 0] / 5 - y) < 0.3).any()
 
 
 def test_a_recording_that_is_too_short_is_refused_and_a_trial_that_has_ended_not_stepped():
@@ -366,3 +381,20 @@ def test_the_observer_looks_ahead_and_is_late(make, monkeypatch):
     safe = np.repeat([False, True, False], [10, 20, 30])
     assert make.says(rng, safe).tolist() == np.repeat([False, True, False], [18, 20, 22]).tolist()
     assert make.wander(rng, 100_000, 0.3, 1.0).std() == pytest.approx(0.3, rel=0.05)
+
+
+def test_rows_can_be_counted_from_the_middle_of_the_main_road_if_that_is_known():
+    recording = read_recording(0)
+    assert recording.middle == pytest.approx(7.6 / np.sin(np.deg2rad(84)), abs=0.01)  # data/recordings/README.md
+    one, other = (RecordedTraffic(recording, coordinates) for coordinates in ("local", "global"))
+    one.reset(seed=0)
+    other.reset(seed=0)
+    cars = one.cars()[1]
+    assert np.array_equal(cars, other.cars()[1])
+    assert one.origin[1] == pytest.approx(-3 * ROW) and other.origin[1] == pytest.approx(recording.middle - 9 * ROW)
+    near = RecordedTraffic(replace(recording, cars=[np.array([[0, recording.middle - 1.8, 0, 10.0]])] * 1500), "global")
+    assert near.reset(seed=0)[0][8, :, 2].sum() == 1  # the nearer lane is the row below the middle
+    with pytest.raises(ValueError, match="need the main road's middle: add the column toMiddle to the ego file"):
+        RecordedTraffic(replace(recording, middle=None), "global")
+    with pytest.raises(ValueError, match="no 'polar' coordinates; there are local and global"):
+        RecordedTraffic(recording, "polar")

@@ -11,7 +11,7 @@ from matplotlib.image import imread
 from rerun.chunk import RrdReader
 
 from lifelong_lib.reproduction import recordings
-from lifelong_lib.reproduction.recordings import Scene, save_recording, verify_recording
+from lifelong_lib.reproduction.recordings import Scene, equally_long, save_recording, verify_recording
 from lifelong_lib.reproduction.runs import Chapter, ReproductionError
 
 STEP = 0.05  # [s]
@@ -292,3 +292,22 @@ def test_empty_or_senseless_arguments_are_refused(tmp_path):
     ):
         with pytest.raises(ReproductionError, match=message):
             save_recording(chapter, *arguments)
+
+
+def test_shorter_scenes_hold_their_last_moment():
+    boxes = {"car": (np.arange(9.0).reshape(3, 3), (1, 1, 1), None)}
+    crowds = {"cars": (np.arange(18.0).reshape(3, 2, 3), (1, 1, 1), np.tile(QUARTER_TURN, (3, 2, 1)))}
+    images = {"input": np.linspace(0, 1, 3)[:, None, None, None] * np.ones((4, 5, 3))}
+    short = Scene("#000000", {"line": np.ones((3, 2, 3))}, boxes, {"x": np.arange(3)}, crowds=crowds, images=images,
+                  outcome="ends", moment=1)  # fmt: skip
+    long = Scene("#000000", {"line": np.ones((5, 2, 3))}, {}, {"x": np.arange(5)})
+    made = equally_long({"short": short, "long": long})
+    held = made["short"]
+    assert held.series["x"].tolist() == [0, 1, 2, 2, 2] and held.parts["line"].shape == (5, 2, 3)
+    assert held.boxes["car"][0][:, 0].tolist() == [0, 3, 6, 6, 6] and held.boxes["car"][2] is None
+    assert held.crowds["cars"][0][:, 1, 2].tolist() == [5, 11, 17, 17, 17]
+    assert held.crowds["cars"][2].shape == (5, 2, 4) and held.images["input"][3:, 0, 0, 0].tolist() == [1, 1]
+    assert (held.outcome, held.moment) == ("ends", 1)
+    assert made["long"].series["x"].tolist() == [0, 1, 2, 3, 4]
+    with pytest.raises(ReproductionError, match="scenes of any length need a series each"):
+        equally_long({"none": Scene("#000000", {"line": np.ones((3, 2, 3))})})

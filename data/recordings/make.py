@@ -195,7 +195,9 @@ def record(number: int, seconds: int, folder: Path) -> None:
     about = f"{number},0,{RATE},{LIMIT},none,0,{seconds},{len(made)},{len(made)}"
     write(folder / f"{number:02d}_recordingMeta.csv", RECORDING_META, [about])
     write(folder / f"{number:02d}_labels.csv", "frame,go", [f"{frame},{label:d}" for frame, label in enumerate(go)])
-    write(folder / f"{number:02d}_ego.csv", "xCenter,yCenter,heading", [f"{x:.2f},{y:.2f},{np.rad2deg(heading):.1f}"])
+    ahead = (MEDIAN / 2 + LANE + SETBACK) / np.sin(MEETING)
+    write(folder / f"{number:02d}_ego.csv", "xCenter,yCenter,heading,toMiddle",
+          [f"{x:.2f},{y:.2f},{np.rad2deg(heading):.1f},{ahead:.2f}"])  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -6,22 +6,21 @@ for the thesis's recording, which is not public. Registered as lifelong_lib/Reco
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
 
 import gymnasium as gym
 import numpy as np
 
-from lifelong_lib.environments.intersections import (
-    COLUMNS,
+from lifelong_lib.environments.crossing import (
     GO,
+    LENGTH,
     MAX_STEPS,
-    REWARDS,
     ROW,
     ROWS,
     ROWS_BEHIND,
     STEP_SECONDS,
     WAITS,
-    grid,
+    WIDTH,
+    Crossing,
 )
 
 FOLDER = Path(__file__).resolve().parents[2] / "data" / "recordings"
@@ -38,6 +37,7 @@ class Recording:
     cars: list[np.ndarray]  # for each frame (n, 4): x, y [m], heading [rad] from the x axis to the left, speed [m/s]
     labels: np.ndarray  # (frames,) bool: whether going is safe
     tracks: list[np.ndarray]  # for each vehicle's track (n, 2): x, y [m]; to draw a map
+    middle: float | None = None  # [m] straight ahead to the middle of the main road, if that is known
 
     @property
     def duration(self) -> float:
@@ -45,54 +45,54 @@ class Recording:
         return len(self.labels) / self.frame_rate
 
 
-class RecordedTraffic(gym.Env):
-    """A trial: wait 1, 2, 4 or 8 steps along the recording, or go, which ends it as the label of the seen frame says.
+class RecordedTraffic(Crossing):
+    """A trial along the recording: wait 1, 2, 4 or 8 steps, or go, which ends it as the label of the seen frame says.
 
     A trial begins at any frame that 20.2 s of recording follow. A step is 0.2 s; what is seen is one of the frames in
     it, drawn anew, so that a short recording gives many trials. Nobody reacts to what the car does.
-    Actions, observations, rewards, ``discount`` and ``info`` are those of `Intersection` in local coordinates, but
-    going takes one step. Raises ValueError for a recording that is too short or has not a frame in every step.
+    All else is as in `Crossing`, with ``coordinates`` as in `Intersection`, but going takes one step. Raises ValueError
+    for a recording that is too short, has not a frame in every step or does not say where its main road's middle is.
     """
 
-    metadata: ClassVar = {"render_modes": []}
-
-    def __init__(self, recording: Recording, discount: float = 0.99):
+    def __init__(self, recording: Recording, coordinates: str = "local", discount: float = 0.99,
+                 render_mode: str | None = None):  # fmt: skip
+        super().__init__(discount, render_mode)
+        if coordinates not in ("local", "global"):
+            raise ValueError(f"no {coordinates!r} coordinates; there are local and global")
+        if coordinates == "global" and recording.middle is None:
+            raise ValueError("global coordinates need the main road's middle: add the column toMiddle to the ego file")
+        lowest = -ROWS_BEHIND * ROW if coordinates == "local" else recording.middle - ROWS / 2 * ROW
+        self.origin = np.array([0, lowest])
         self._window = STEP_SECONDS * recording.frame_rate  # frames in a step, not always a whole number
         frames, needed = len(recording.labels), int((MAX_STEPS + 1) * self._window)  # one look after the last step
         if self._window < 1:
             raise ValueError(f"{recording.frame_rate:g} frames a second are not one in every step of {STEP_SECONDS} s")
         if frames < needed:
             raise ValueError(f"the recording has {frames} frames; a trial of {MAX_STEPS} steps needs {needed}")
-        self.recording, self.discount, self._starts, self._ended = recording, discount, frames - needed + 1, True
-        self.observation_space = gym.spaces.Box(0, 3, (ROWS, COLUMNS, 3), np.float32)
-        self.action_space = gym.spaces.Discrete(GO + 1)
+        self.recording, self._starts = recording, frames - needed + 1
 
-    def reset(self, *, seed: int | None = None, options: dict | None = None):
-        """Begin a trial at a random frame: (observation, info)."""
-        super().reset(seed=seed)
-        self._start, self.steps, self._ended = int(self.np_random.integers(self._starts)), 0, False
-        return self._look(), {"steps": 0, "outcome": ""}
+    def cars(self) -> tuple[np.ndarray, np.ndarray]:
+        """Poses of the own car (1, 4), which stays at its line, and of those in the frame that was seen last (n, 4)."""
+        return np.array([[0, -LENGTH / 2, np.pi / 2, 0]]), self.recording.cars[self.frame]
 
-    def step(self, action):
-        """Wait or go: (observation, discounted reward of the steps that it took, terminated, truncated, info)."""
-        if self._ended:
-            raise RuntimeError("the trial has ended, or was never begun: reset the environment first")
-        outcome, took = "", 1
-        if action == GO:
-            outcome = "success" if self.recording.labels[self.frame] else "collision"
-        else:
-            took = min(WAITS[action], MAX_STEPS - self.steps)
+    def _begin(self, seeded):
+        self._start = int(self.np_random.integers(self._starts))
+
+    def _act(self, action):
+        took = 1 if action == GO else min(WAITS[action], MAX_STEPS - self.steps)
         self.steps += took
-        late = self.steps == MAX_STEPS and not outcome
-        self._ended = late or bool(outcome)
-        rewards = [REWARDS[""]] * (took - 1) + [REWARDS[outcome]]
-        reward = float(np.dot(rewards, self.discount ** np.arange(took)))
-        return self._look(), reward, bool(outcome), late, {"steps": took, "outcome": "timeout" if late else outcome}
+        if action != GO:
+            return ""
+        return "success" if self.recording.labels[self.frame] else "collision"
 
-    def _look(self) -> np.ndarray:
+    def _look(self):
         first, end = (self._start + int(step * self._window) for step in (self.steps, self.steps + 1))
         self.frame = int(self.np_random.integers(first, end))
-        return grid(self.recording.cars[self.frame], np.array([0, -ROWS_BEHIND * ROW]))
+        return super()._look()
+
+    def _ground(self):
+        second = max(1, round(self.recording.frame_rate))
+        return [track[::second] for track in self.recording.tracks], WIDTH  # what cars have driven over
 
 
 gym.register("lifelong_lib/RecordedTraffic-v0", f"{__name__}:RecordedTraffic")
@@ -125,19 +125,24 @@ def read_recording(number: int, folder: Path = FOLDER) -> Recording:
     rows = rows_of_tracks(about, tracks)
     frames = int(max(frames[0], about["finalFrame"].max() + 1))  # the duration may be rounded
     labels = read_labels(labels_file, frames) if labels_file.exists() else None
-    poses = seen_from(Table(ego_file, "xCenter", "yCenter", "heading"), tracks)
+    ego = Table(ego_file, "xCenter", "yCenter", "heading", optional=("toMiddle",))
+    middle = float(ego["toMiddle"][0]) if "toMiddle" in ego.columns else None
+    poses = seen_from(ego, tracks)
     vehicles = [mine for mine, kind in zip(rows, about["class"], strict=True) if kind in VEHICLES]
     kept = np.concatenate([np.empty(0, int), *vehicles])
     kept = kept[np.argsort(tracks["frame"][kept], kind="stable")]
     cars = np.split(poses[kept], np.searchsorted(tracks["frame"][kept], np.arange(1, frames)))
     labels = np.array([is_safe(frame) for frame in cars]) if labels is None else labels
-    return Recording(float(meta["frameRate"][0]), cars, labels, [poses[mine, :2] for mine in vehicles])
+    return Recording(float(meta["frameRate"][0]), cars, labels, [poses[mine, :2] for mine in vehicles], middle)
 
 
 class Table:
-    """Columns of a CSV file with a header, which may have others: ``class`` is text, all else finite numbers."""
+    """Columns of a CSV file with a header, which may have others: ``class`` is text, all else finite numbers.
 
-    def __init__(self, file: Path, *columns: str):
+    The ``optional`` ones may be missing.
+    """
+
+    def __init__(self, file: Path, *columns: str, optional: tuple = ()):
         if not file.is_file():
             raise ValueError(f"{file} is missing")
         lines = [line.split(",") for line in file.read_text("utf-8-sig", errors="replace").splitlines()]
@@ -147,7 +152,7 @@ class Table:
         for row, words in enumerate(rows, 2):
             if len(words) != len(header):
                 raise ValueError(f"{file}, row {row}: {len(words)} values for {len(header)} columns")
-        for column in columns:
+        for column in (*columns, *(name for name in optional if name in header)):
             if column not in header:
                 raise ValueError(f"{file}, row 1: there is no column {column}")
             self.columns[column] = np.array([row[header.index(column)].strip() for row in rows])

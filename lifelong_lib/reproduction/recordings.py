@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 import textwrap
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -107,6 +107,26 @@ def save_recording(chapter: Chapter, name: str, scenes: dict[str, Scene], second
     except (OSError, RuntimeError) as error:  # rerun reports a full disk as RuntimeError
         raise ReproductionError(f"cannot write {path} ({error}); is there space, may you write there?") from error
     return path
+
+
+def equally_long(scenes: dict[str, Scene]) -> dict[str, Scene]:
+    """Return the scenes with the last moment of the shorter ones held until the longest ends."""
+    require(all(scene.series for scene in scenes.values()), "scenes of any length need a series each, to measure it")
+    longest = max(len(values) for scene in scenes.values() for values in scene.series.values())
+
+    def held(values):
+        return np.concatenate([values, np.repeat(values[-1:], longest - len(values), axis=0)])
+
+    def held_boxes(boxes):
+        return {key: (held(centres), half_sizes, None if turns is None else held(turns))
+                for key, (centres, half_sizes, turns) in boxes.items()}  # fmt: skip
+
+    made = {}
+    for title, scene in scenes.items():
+        plain = {kind: {key: held(values) for key, values in getattr(scene, kind).items()}
+                 for kind in ("parts", "series", "images")}  # fmt: skip
+        made[title] = replace(scene, boxes=held_boxes(scene.boxes), crowds=held_boxes(scene.crowds), **plain)
+    return made
 
 
 def verify_recording(path: Path) -> None:
