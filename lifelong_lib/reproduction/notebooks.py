@@ -17,6 +17,7 @@ import papermill
 from jupyter_client.kernelspec import NoSuchKernel
 from papermill.exceptions import PapermillExecutionError
 
+from lifelong_lib.reproduction.children import surroundings
 from lifelong_lib.reproduction.fingerprint import SOURCES, ReproductionError, require
 from lifelong_lib.reproduction.runs import ROOT, read_json
 
@@ -144,7 +145,7 @@ def execute(path: Path, parameters: dict[str, object], folder: Path, options: di
     copy.parent.mkdir(parents=True, exist_ok=True)
     kernel = {"LIFELONG_OPTIONS": json.dumps(options), "PYTHONPATH": str(SOURCES), "PYTHONHASHSEED": "0"}
     try:
-        with patch.dict(os.environ, kernel, PYDEVD_DISABLE_FILE_VALIDATION="1"):  # the kernel starts with a copy
+        with patch.dict(os.environ, surroundings(**kernel), PYDEVD_DISABLE_FILE_VALIDATION="1"):  # the kernel starts with a copy
             papermill.execute_notebook(
                 str(path), str(copy), changed, kernel_name="python3", language="python", cwd=str(ROOT),
                 progress_bar=False, allow_errors="plan" in options, extra_arguments=["--log-level=CRITICAL"],
