@@ -20,7 +20,7 @@ SOURCES = sorted(LIBRARY.rglob("*.py"))
 NOTEBOOKS = find_notebooks(REPOSITORY / "notebooks")
 # The plan was 2,900 after chapters 2 and 4, which have 3,341: a debt, not a licence. Chapters 3 and 5 bring the rest;
 # with all chapters it must not be more than about 5,500.
-LINES = 4790
+LINES = 4840
 
 # May import from: None = anything of the library. A module that is not listed falls under its package.
 ALLOWED = {

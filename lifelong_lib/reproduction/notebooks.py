@@ -143,9 +143,9 @@ def execute(path: Path, parameters: dict[str, object], folder: Path, options: di
     changed = {name: value for name, value in typed_parameters(path, parameters).items() if value != defaults[name]}
     copy = folder / "notebooks" / path.name
     copy.parent.mkdir(parents=True, exist_ok=True)
-    kernel = {"LIFELONG_OPTIONS": json.dumps(options), "PYTHONPATH": str(SOURCES), "PYTHONHASHSEED": "0"}
+    kernel = surroundings(LIFELONG_OPTIONS=json.dumps(options), PYTHONPATH=str(SOURCES), PYTHONHASHSEED="0")
     try:
-        with patch.dict(os.environ, surroundings(**kernel), PYDEVD_DISABLE_FILE_VALIDATION="1"):  # the kernel starts with a copy
+        with patch.dict(os.environ, kernel, PYDEVD_DISABLE_FILE_VALIDATION="1"):  # the kernel starts with a copy
             papermill.execute_notebook(
                 str(path), str(copy), changed, kernel_name="python3", language="python", cwd=str(ROOT),
                 progress_bar=False, allow_errors="plan" in options, extra_arguments=["--log-level=CRITICAL"],
