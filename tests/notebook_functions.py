@@ -1,23 +1,30 @@
 """Functions and claim cells of the notebooks, taken out of their cells, to be tried on hand-made numbers."""
 
 import ast
+import itertools
 from functools import cache
 from types import SimpleNamespace
 
+import numpy as np
 from conftest import REPOSITORY
 
 from lifelong_lib.reproduction.claims import check_claim
-from lifelong_lib.reproduction.notebooks import find_notebooks, named_in_calls, read_notebook
+from lifelong_lib.reproduction.notebooks import find_notebooks, read_notebook
 from lifelong_lib.reproduction.runs import Chapter, Results, Run
 
 NOTEBOOKS = REPOSITORY / "notebooks"
 
 
 @cache
-def code_cells(chapter: int) -> list[str]:
-    """Sources of the chapter's code cells, in order."""
+def code_cells(chapter: int) -> dict[str, list[ast.stmt]]:
+    """The chapter's code cells in order: {source: its statements}."""
     path = find_notebooks(NOTEBOOKS)[chapter]
-    return [cell.source for cell in read_notebook(path).cells if cell.cell_type == "code"]
+    sources = [cell.source for cell in read_notebook(path).cells if cell.cell_type == "code"]
+    return {source: ast.parse(source).body for source in sources}
+
+
+def all_statements(chapter: int) -> list[ast.stmt]:
+    return list(itertools.chain(*code_cells(chapter).values()))
 
 
 def bound_by(statement: ast.stmt) -> list[str]:
@@ -49,21 +56,29 @@ def run(statements: list[ast.stmt], space: SimpleNamespace) -> None:
     exec(compile(ast.Module(statements, []), "notebook", "exec"), vars(space))
 
 
-def load(chapter: int, *names: str, **given) -> SimpleNamespace:
+def load(chapter: int, /, *names: str, **given) -> SimpleNamespace:
     """The functions and constants `names` of a notebook, with its imports that they use.
 
     Whatever else they read is `given` by hand. All of it are attributes of what is returned; one that is set later is
     seen by the functions too.
     """
-    statements = [statement for source in code_cells(chapter) for statement in ast.parse(source).body]
-    chosen = [statement for statement in statements if set(names) & set(bound_by(statement))]
+    chosen = [statement for statement in all_statements(chapter) if set(names) & set(bound_by(statement))]
     found = [name for statement in chosen for name in bound_by(statement)]
     for name in names:
         assert found.count(name) == 1, f"chapter {chapter} defines {name} {found.count(name)} times, not once"
     space = SimpleNamespace(**given)
-    run(imports_of(statements, names_in(chosen) - given.keys()), space)
+    run(imports_of(all_statements(chapter), names_in(chosen) - given.keys()), space)
     run(chosen, space)
     return space
+
+
+def run_cell(chapter: int, words: str, space: SimpleNamespace) -> None:
+    """Run the one cell with these words among the names of `space`; names that are given already are not imported."""
+    cells = [cell for source, cell in code_cells(chapter).items() if words in source]
+    assert len(cells) == 1, f"chapter {chapter} has {len(cells)} cells with {words!r}, not one"
+    (statements,) = cells
+    run(imports_of(all_statements(chapter), names_in(statements) - vars(space).keys()), space)
+    run([statement for statement in statements if not isinstance(statement, ast.Import | ast.ImportFrom)], space)
 
 
 def judge(chapter: int, identity: str, space: SimpleNamespace, folder) -> SimpleNamespace:
@@ -71,17 +86,36 @@ def judge(chapter: int, identity: str, space: SimpleNamespace, folder) -> Simple
 
     `verdict` and `control_verdict` as in the book; `measured` and `control`: {label: mean over seeds}.
     """
-    (source,) = [source for source in code_cells(chapter) if identity in named_in_calls(source, "check_claim")]
-    statements = ast.parse(source).body
     space.chapter = Chapter(chapter, "paper", seeds=1, output_dir=str(folder))
     space.check_claim = lambda *claim, **more: vars(space).update(claim=check_claim(*claim, **more))
-    every = [statement for cell in code_cells(chapter) for statement in ast.parse(cell).body]
-    run(imports_of(every, names_in(statements) - vars(space).keys()), space)
-    run([statement for statement in statements if not isinstance(statement, ast.Import | ast.ImportFrom)], space)
+    run_cell(chapter, f'check_claim(chapter, "{identity}"', space)
     measured, control = ({part["label"]: part["measured"] for part in parts}
                          for parts in (space.claim.parts, space.claim.control_parts))  # fmt: skip
     return SimpleNamespace(verdict=space.claim.verdict, control_verdict=space.claim.control_verdict,
                            measured=measured, control=control)  # fmt: skip
+
+
+class Recorder:
+    """Stands for a method that learns from tasks: it notes what it is told and asked, and predicts zero."""
+
+    def __init__(self, *args, **settings):
+        self.told, self.settings, self.asked = [], settings, []
+
+    def partial_fit(self, task, *what):
+        self.told.append((task, *(np.asarray(part).tolist() for part in what)))
+
+    def fit(self, *what):
+        self.told = [np.asarray(part).tolist() for part in what]
+        return self
+
+    def predict(self, description):
+        self.asked.append(description.tolist())
+        return np.zeros(1)
+
+
+def same(*values: float, trials: int = 3) -> list:
+    """The same numbers (or number) in every trial, a value for `runs`."""
+    return [np.array(values, float) if len(values) > 1 else float(values[0])] * trials
 
 
 def runs(*entries: tuple[dict, dict]) -> Results:
