@@ -17,7 +17,7 @@ def fleets_of(*curve):
 
 # ------------------------------------------------------------------------------------------ leads over learning alone
 
-CURVES = {"PG": fleets_of(0, 1, 2, 3), "PG-ELLA": fleets_of(0, 4, 4, 4), "mean start": fleets_of(0, 3, 5, 4),
+CURVES = {"PG": fleets_of(-1, 1, 2, 3), "PG-ELLA": fleets_of(0, 4, 4, 4), "mean start": fleets_of(0, 3, 5, 4),
           "random basis": fleets_of(0, 0, 0, 0), "other task": fleets_of(0, 2, 1, 1)}
 STRANGERS = {"PG": fleets_of(0, 1, 1, 1), "PG-ELLA": fleets_of(0, 0.5, 0, 0)}
 
@@ -33,16 +33,18 @@ def test_leads_are_taken_at_after_and_at_the_end_of_learning():
     assert space.jump(CURVES, "PG-ELLA").tolist() == [3] * FLEETS
     assert space.jump(CURVES, "PG-ELLA", "mean start").tolist() == [1] * FLEETS
     assert space.advantage(CURVES, "PG-ELLA").tolist() == [2] * FLEETS  # (3 + 2 + 1) / 3
-    long = {"PG": np.zeros((1, 30)), "PG-ELLA": np.arange(30.0)[None]}
-    assert space.final(long, "PG-ELLA") == [24.5]  # the mean of 20 to 29
+    long = {"PG": np.ones((1, 30)), "PG-ELLA": np.arange(30.0)[None]}
+    assert space.final(long, "PG-ELLA") == [23.5]  # the mean of 20 to 29 is 24.5
 
 
 def test_the_control_with_the_higher_mean_is_reported():
     space = measures()
     # random basis: 0 - 1 = -1; others' start and dictionary: 0.5 - 1 = -0.5
     assert space.nearest_control("turtlebot", CURVES, space.jump).tolist() == [-0.5] * FLEETS
-    better = CURVES | {"random basis": fleets_of(0, 2, 0, 0)}
-    assert space.nearest_control("turtlebot", better, space.jump).tolist() == [1] * FLEETS
+    better = CURVES | {"random basis": np.array([[0, 5.0], [0, -1.0], [0, 2.0]]), "PG": fleets_of(0, 1)}
+    assert space.nearest_control("turtlebot", better, space.jump).tolist() == [4, -2, 1]
+    worse = better | {"random basis": np.array([[0, 5.0], [0, -4.0], [0, -2.0]])}  # high in one fleet only
+    assert space.nearest_control("turtlebot", worse, space.jump).tolist() == [-0.5] * FLEETS
 
 
 def test_c3_1_is_the_jump_after_the_first_iterations(tmp_path):
@@ -80,6 +82,8 @@ def test_c3_2_asks_for_the_mean_and_for_the_end(tmp_path, ahead_until, verdict):
     claim = judge(3, "C3.2", measures(long_curves(ahead_until), behind), tmp_path)
     mean = (2 * (ahead_until - 1) - 40) / 40
     assert claim.measured["mean return over iterations 10 to 100: PG-ELLA minus PG"] == pytest.approx(mean)
+    assert list(claim.control) == ["mean return over iterations 10 to 100: PG-ELLA minus PG",
+                                   "mean return over the last ten iterations: PG-ELLA minus PG"]
     assert claim.verdict == verdict
 
 
@@ -89,15 +93,17 @@ def test_c3_3_asks_drones_for_jump_and_lead(tmp_path):
     claim = judge(3, "C3.3", measures(late), tmp_path)
     assert claim.measured["return at iteration 10: PG-ELLA minus PG"] == 1
     assert claim.measured["mean return over iterations 10 to 100: PG-ELLA minus PG"] == pytest.approx(-4 / 3)
+    assert list(claim.control.values()) == [-0.5, pytest.approx(-2.5 / 3)]  # others' start and dictionary
     assert claim.verdict == "contradicted"
 
 
-@pytest.mark.parametrize("lead, verdict", [(0.1, "holds"), (-0.1, "holds"), (0.3, "contradicted")])
+@pytest.mark.parametrize("lead, verdict", [(0.1, "holds"), (-0.1, "holds"), (0.3, "contradicted"),
+                                           (-0.3, "contradicted")])
 def test_c3_9_is_a_share_of_what_pg_gains(tmp_path, lead, verdict):
     measured = fleets_of(0, *[4 + lead] * 3)
     claim = judge(3, "C3.9", measures(CURVES | {"measured curvature": measured}), tmp_path)
     (share,) = claim.measured.values()
-    assert share == pytest.approx(lead / 3)  # PG gains 3
+    assert share == pytest.approx(lead / 4)  # PG gains 4
     assert claim.verdict == verdict
 
 
@@ -187,7 +193,7 @@ def test_c3_5_and_c3_6_are_shares_of_good_robots(tmp_path, after_10, after_100, 
 
 # ------------------------------------------------------------------------------------------- robots that have to look
 
-LONE = np.array([[[9, 1, 1], [9, 2, 2], [9, 3, 3], [9, 6, 6], [9, 4, 4]]] * FLEETS, float)  # means 1, 2, 3, 6; fifth 4
+LONE = np.array([[[9, 1, 1], [9, 2, 2], [9, 3, 3], [9, 6, 6], [9, 7, 7]]] * FLEETS, float)  # means 1, 2, 3, 6; fifth 7
 
 
 def looking(strange=(0, 0, 0), **fifth):
@@ -200,7 +206,7 @@ def looking(strange=(0, 0, 0), **fifth):
 
 def test_c3_7_leads_over_the_mean_and_the_best_of_four(tmp_path):
     claim = judge(3, "C3.7", looking(), tmp_path)
-    assert list(claim.measured.values()) == [5, 2, 4, 1, 1]  # 8 less 3, the best 6, the fifth 4, mean start 7; 4 less 3
+    assert list(claim.measured.values()) == [5, 2, 1, 1, 1]  # 8 less 3, the best 6, the fifth 7, mean start 7; 4 less 3
     assert list(claim.control.values()) == [-2, -5]  # random basis 1; the other control is lower
     assert (claim.verdict, claim.control_verdict) == ("holds", "contradicted")
 
@@ -213,7 +219,7 @@ def test_c3_7_can_fail(tmp_path):
 
 
 def test_c3_8_counts_the_four_sources_only(tmp_path):
-    rising, falling = [0, 0, 0, 5, 5, 5], [5, 5, 5, 0, 0, 0]
+    rising, falling = [0, 9, 0, 20, -20, 4, 4, 4], [5, 5, 5, 0, 0, 0, 9, 0]  # means of three: 3 and 4, 5 and 3
     lone = np.array([[rising, rising, rising, rising, falling]] * FLEETS, float)
     robots = [{"robot": i} for i in range(5)]
     good = runs(*((robot, {"good": [np.array([True, robot["robot"] == 0])]}) for robot in robots))
@@ -250,6 +256,7 @@ def test_a_curve_is_the_first_iterations_and_then_the_methods_own():
     found = space.transfer_trial(config, np.random.SeedSequence(0))
     assert found["mean start"].tolist() == [2, 3, 4, 5, 6]  # entry 2 = early is the start of what follows
     assert found["PG-ELLA"].tolist() == [2, 3, 104, 105, 106]
+    assert found["policies PG-ELLA"].tolist() == [[104], [106]]
     assert (found["good PG-ELLA"], found["good mean start"]) == (True, False)
 
 

@@ -66,14 +66,15 @@ def test_copies_are_everybody_elses_policies():
     """Machine i wants policy i, and loses the square of what it is off."""
     def mean_reward(learner, machines, policies, rngs):
         return -((policies[:, 0] - machines) ** 2).mean()
-    right, start = np.array([[0.0], [1], [2]]), np.full((3, 1), 9.0)
+    right, start = np.arange(4.0)[:, None], np.full((4, 1), 9.0)
     history = np.array([start, right, right + 1])
     space = load(4, "copying_trial", mean_reward=mean_reward,
-                 train_alone=lambda config, seed: (None, np.arange(3), None, history))
+                 train_alone=lambda config, seed: (None, np.arange(4), None, history))
     found = space.copying_trial({"warm_iterations": 1}, None)
-    # Rolled by one, 2 0 1 for 0 1 2, and by two, 1 2 0, both lose (4 + 1 + 1) / 3.
-    assert found == {"start": pytest.approx(-(81 + 64 + 49) / 3), "learned": 0, "copied": -2, "learned long": -1,
-                     "copied long": pytest.approx(-3)}
+    # Rolled by one, 3 0 1 2 for 0 1 2 3, loses (9 + 1 + 1 + 1) / 4 = 3, by two 4, by three 3.
+    # With one more at each, 4 1 2 3, 3 4 1 2 and 2 3 4 1 lose 4, 5 and 4.
+    expected = {"start": -(81 + 64 + 49 + 36) / 4, "learned": 0, "copied": -10 / 3, "learned long": -1}
+    assert found == pytest.approx(expected | {"copied long": -13 / 3})
 
 
 def copying(**copied):
