@@ -14,6 +14,7 @@ from pathlib import Path
 
 try:
     from lifelong_lib.reproduction import notebooks, report
+    from lifelong_lib.reproduction.children import surroundings
     from lifelong_lib.reproduction.fingerprint import ReproductionError, require
     from lifelong_lib.reproduction.runs import PROFILES, ROOT, processor
 except ModuleNotFoundError as missing:
@@ -230,7 +231,7 @@ def lab_command(options: argparse.Namespace) -> int:
 
 
 def call(module: str, *arguments: str) -> int:
-    return subprocess.run([sys.executable, "-m", module, *arguments], cwd=ROOT).returncode
+    return subprocess.run([sys.executable, "-m", module, *arguments], cwd=ROOT, env=surroundings()).returncode
 
 
 def places(options: argparse.Namespace) -> tuple[Path, Path]:

@@ -66,7 +66,7 @@ def inside(monkeypatch):
 def test_pytest_gets_what_follows_test(monkeypatch):
     called = []
 
-    def stand_in(words, cwd):
+    def stand_in(words, cwd, env):
         called.append(words)
         return subprocess.CompletedProcess(words, 5)
 

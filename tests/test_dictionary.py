@@ -104,6 +104,23 @@ def test_sparse_code_fulfils_the_optimality_conditions(kind, seed, d, k, scale, 
     assert abs(scale) < 1e-8 or code.any() == (sparsity < largest)
 
 
+@pytest.mark.parametrize("place", ["target", "basis", "weight"])
+def test_numbers_that_are_not_finite_are_complained_about(place):
+    arrays = dict(zip(("target", "basis", "weight"), problem(0), strict=True))
+    arrays[place].flat[0] = np.nan
+    with pytest.raises(RuntimeError, match=r"no sparse code found in 300 rounds \(d = 5, k = 3, .* finite") as caught:
+        sparse_code(**arrays, sparsity=0.1)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_code_that_is_not_optimal_is_not_returned(monkeypatch):
+    target, basis, weight = problem(0)
+    assert np.count_nonzero(sparse_code(target, basis, weight, 0.5)) == 1  # of three: the others have to leave
+    monkeypatch.setattr("lifelong_lib.transfer.dictionary.CODING_ROUNDS", 1)
+    with pytest.raises(RuntimeError, match="no sparse code found in 1 rounds"):
+        sparse_code(target, basis, weight, 0.5)
+
+
 @given(seed=seeds, weight=st.floats(0.01, 100))
 @settings(max_examples=30, deadline=None)
 def test_a_number_stands_for_that_many_times_the_identity(seed, weight):

@@ -18,6 +18,7 @@ from docutils.utils.math import MathError
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.util import logging
 
+from lifelong_lib.reproduction.children import last_words, surroundings
 from lifelong_lib.reproduction.fingerprint import SOURCES, require
 from lifelong_lib.reproduction.notebooks import made_ids, named_in_calls
 from lifelong_lib.reproduction.report import order, read_grids, verdict_counts
@@ -70,8 +71,8 @@ def build_book(folder: Path, reference: Path) -> Path:
             (source / f"{name}.md").write_text(text)
         command = [sys.executable, "-m", "sphinx", "-b", "html", "-q", "-E", "-d", f"{temporary}/doctrees",
                    str(source), str(out)]
-        done = subprocess.run(command, cwd=SOURCES, capture_output=True, text=True)
-        require(done.returncode == 0, f"the book could not be built: {' '.join(done.stderr.split())[:300]}")
+        done = subprocess.run(command, cwd=SOURCES, env=surroundings(), capture_output=True, text=True)
+        require(done.returncode == 0, f"the book could not be built: {last_words(done.stderr)}")
         sys.stderr.write(done.stderr.replace(f"{source}/", ""))
         shutil.rmtree(folder / "book", ignore_errors=True)
         shutil.move(out, folder / "book")

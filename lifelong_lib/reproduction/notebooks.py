@@ -17,6 +17,7 @@ import papermill
 from jupyter_client.kernelspec import NoSuchKernel
 from papermill.exceptions import PapermillExecutionError
 
+from lifelong_lib.reproduction.children import surroundings
 from lifelong_lib.reproduction.fingerprint import SOURCES, ReproductionError, require
 from lifelong_lib.reproduction.runs import ROOT, read_json
 
@@ -142,7 +143,7 @@ def execute(path: Path, parameters: dict[str, object], folder: Path, options: di
     changed = {name: value for name, value in typed_parameters(path, parameters).items() if value != defaults[name]}
     copy = folder / "notebooks" / path.name
     copy.parent.mkdir(parents=True, exist_ok=True)
-    kernel = {"LIFELONG_OPTIONS": json.dumps(options), "PYTHONPATH": str(SOURCES), "PYTHONHASHSEED": "0"}
+    kernel = surroundings(LIFELONG_OPTIONS=json.dumps(options), PYTHONPATH=str(SOURCES), PYTHONHASHSEED="0")
     try:
         with patch.dict(os.environ, kernel, PYDEVD_DISABLE_FILE_VALIDATION="1"):  # the kernel starts with a copy
             papermill.execute_notebook(

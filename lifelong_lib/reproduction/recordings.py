@@ -23,6 +23,7 @@ from matplotlib.figure import Figure
 from rerun.archetypes import RecordingInfo
 from scipy.spatial.transform import Rotation
 
+from lifelong_lib.reproduction.children import last_words, surroundings
 from lifelong_lib.reproduction.fingerprint import require
 from lifelong_lib.reproduction.runs import Chapter, ReproductionError
 
@@ -136,12 +137,11 @@ def verify_recording(path: Path) -> None:
     """
     # rerun_cli's own `python -m` always exits with 0, whatever it found. With CI set, no usage statistics are sent.
     main = "import sys; from rerun_cli.__main__ import main; sys.exit(main())"
-    quiet = {key: value for key, value in os.environ.items() if key != "FORCE_RERUN_ANALYTICS"} | {"CI": "1"}
+    quiet = {key: value for key, value in surroundings(CI="1").items() if key != "FORCE_RERUN_ANALYTICS"}
     command = [sys.executable, "-c", main, "rrd", "verify", str(path)]
     result = subprocess.run(command, env=quiet, text=True, capture_output=True, check=False)
-    reason = result.stderr.partition("\n")[0][:160]
     good = result.returncode == 0 and "1 file verified" in result.stderr  # an empty file passes as "0 files verified"
-    require(good, f"recording {path} cannot be read ({reason}); run its chapter again")
+    require(good, f"recording {path} cannot be read ({last_words(result.stderr)}); run its chapter again")
 
 
 def _check(where, scenes, series_units):

@@ -26,6 +26,7 @@ import numpy as np
 from tqdm import tqdm
 
 from lifelong_lib.reproduction.backends import completed
+from lifelong_lib.reproduction.children import surroundings
 from lifelong_lib.reproduction.fingerprint import ReproductionError, changes, fingerprint, require, sha256
 
 ROOT = Path(os.environ.get("LIFELONG_ROOT") or Path(__file__).resolve().parents[2])
@@ -155,7 +156,7 @@ def commit() -> str:
     """The commit that the repository is at, and whether files differ from it."""
     describe = ["git", "-C", str(ROOT), "describe", "--always", "--exclude=*", "--abbrev=40", "--dirty= with changes"]
     try:
-        return subprocess.run(describe, capture_output=True, text=True, check=True).stdout.strip()
+        return subprocess.run(describe, env=surroundings(), capture_output=True, text=True, check=True).stdout.strip()
     except (OSError, subprocess.CalledProcessError):
         return "unknown (no git history here)"
 

@@ -14,19 +14,25 @@ CODING_ROUNDS = 300  # a few suffice; only columns that are parallel up to round
 def sparse_code(target: np.ndarray, basis: np.ndarray, weight, sparsity: float) -> np.ndarray:
     """Return s (k,) = argmin ||target - basis s||^2_weight + sparsity ||s||_1 (equation 2.12).
 
-    ``target`` (d,), ``basis`` (d, k), ``weight`` (d, d) or a number. An exact active set: from the least-squares code,
-    Newton steps with the present signs. An entry that reaches zero stays there until its slope asks for it; when none
-    does, s is optimal. What is added to the Gram matrix, about its rounding error, shapes the steps, not their end.
+    ``target`` (d,), ``basis`` (d, k), ``weight`` (d, d) or a number. An exact active set: ``signs`` says which entries
+    of s are used and on which side of zero each is. While they stay, the objective is a parabola, and a Newton step
+    leads to its lowest point. There an unused entry whose slope outweighs its penalty is let in; when there is none, s
+    is optimal. Raises RuntimeError if that is not reached, as with numbers that are not finite.
     """
-    weighed, half = (weight @ basis if np.ndim(weight) else weight * basis), sparsity / 2
+    weighed = weight @ basis if np.ndim(weight) else weight * basis
+    half = sparsity / 2  # the objective's slopes are halved throughout, and so is the penalty's
     moments = target @ weighed
     largest = np.abs(moments).max()
     if largest <= half:
         return np.zeros(len(moments))
+
     gram = basis.T @ weighed
-    ridge, tolerance = np.abs(weight).max() * np.vdot(basis, basis) * np.eye(len(gram)), 1e-9 * (half + largest)
-    code = np.linalg.solve(gram + 1e-8 * ridge, moments)
-    gram, signs = gram + 1e-15 * ridge, np.sign(code)
+    # Added to the Gram matrix, about its rounding error, it shapes the steps, not their end.
+    ridge = np.abs(weight).max() * np.vdot(basis, basis) * np.eye(len(gram))
+    code = np.linalg.solve(gram + 1e-8 * ridge, moments)  # least squares, a start near the end
+    gram = gram + 1e-15 * ridge
+    signs = np.sign(code)
+    tolerance = 1e-9 * (half + largest)
     for _ in range(CODING_ROUNDS):
         slope = (target - basis @ code) @ weighed
         missing = np.where(signs, slope - half * signs, 0)
@@ -34,16 +40,31 @@ def sparse_code(target: np.ndarray, basis: np.ndarray, weight, sparsity: float) 
             outside = np.where(signs, 0, np.abs(slope))
             entry = outside.argmax()
             if outside[entry] <= half + tolerance:
-                break
+                return code
             signs[entry] = np.sign(slope[entry])
             missing[entry] = slope[entry] - half * signs[entry]
-        used = np.flatnonzero(signs)
-        old, step = code[used], np.linalg.solve(gram[used[:, None], used], missing[used])
-        parts = np.where((old + step) * signs[used] < 0, -old / np.where(step, step, 1), 1)  # of the step, up to zero
-        code[used] += parts.min() * step
-        gone = used[parts == parts.min()] if parts.min() < 1 else []
-        code[gone] = signs[gone] = 0
-    return code
+        _newton_step(code, signs, gram, missing)
+    d, k = basis.shape
+    raise RuntimeError(f"no sparse code found in {CODING_ROUNDS} rounds (d = {d}, k = {k}, sparsity = {sparsity:g}): "
+                       "are target, basis and weight finite, and is the weight positive semi-definite?")  # fmt: skip
+
+
+def _newton_step(code: np.ndarray, signs: np.ndarray, gram: np.ndarray, missing: np.ndarray) -> None:
+    """Move the used entries of ``code`` to where nothing is ``missing``, or until one reaches zero: that one leaves.
+
+    All are (k,) but ``gram`` (k, k); ``code`` and ``signs`` are changed in place.
+    """
+    used = np.flatnonzero(signs)
+    old, step = code[used], np.linalg.solve(gram[np.ix_(used, used)], missing[used])
+    crosses = (old + step) * signs[used] < 0
+    to_zero = -old / np.where(step == 0, 1, step)  # in steps; a step of zero crosses nothing, and must not divide
+    reach = np.where(crosses, to_zero, 1)
+    shortest = reach.min()
+    code[used] += shortest * step
+    if shortest < 1:
+        gone = used[reach == shortest]
+        code[gone] = 0
+        signs[gone] = 0
 
 
 def reconstruction_loss(target: np.ndarray, basis: np.ndarray, code: np.ndarray, weight) -> float:

@@ -1,0 +1,313 @@
+"""Chapter 4: the functions that decide C4.9 to C4.15 (classification, costs, theory), on numbers made by hand."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from notebook_functions import Recorder, judge, load, runs, same
+
+SYSTEMS = ["spring-mass-damper", "cart-pole", "bicycle", "quadrotor"]
+
+
+# ----------------------------------------------------------------------------------------- C4.9, C4.10: classification
+
+def test_shuffled_classifiers_get_a_neighbours_description():
+    domain = SimpleNamespace(descriptors=np.array([[0.0], [1], [2], [3]]))
+    space = load(4, "learn_classifiers", ELLA=Recorder, TaDeLL=Recorder)
+    alone = [(np.array([10.0 * t]), np.eye(1)) for t in range(4)]
+    config = {"k": 2, "sparsity": 0.1, "ridge": 0.1, "weight": 7.0, "tasks": 3}
+    methods = space.learn_classifiers(config, domain, alone)
+    described = {name: [told[-1] for told in methods[name].told] for name in ("TaDeLL", "shuffled")}
+    assert described == {"TaDeLL": [[0], [1], [2]], "shuffled": [[3], [0], [1]]}
+    assert [told[:2] for told in methods["ELLA"].told] == [(0, [0]), (1, [10]), (2, [20])]
+
+
+def test_accuracies_are_of_old_tasks_as_learned_and_of_new_ones_as_predicted():
+    """Old tasks have the label True at x = 1, new ones False: a model of 1 is right on old ones, -1 on new ones."""
+    class Domain:
+        descriptors = np.zeros((4, 1))
+
+        def draw_samples(self, task, count, rng):
+            return np.ones((count, 1)), np.full(count, task < 2)
+
+    right, wrong = (SimpleNamespace(policy=lambda t, model=model: np.array([model]),
+                                    predict=lambda m, model=model: np.array([-model])) for model in (1.0, -1.0))
+    space = load(4, "synthetic_trial", domain_one=lambda count, rng: Domain(), domain_two=None, shared_subspace=None,
+                 fit_classifier=lambda X, y, C: (np.array([1.0]), None),
+                 learn_classifiers=lambda *given: {"ELLA": right, "TaDeLL": right, "shuffled": wrong})
+    found = space.synthetic_trial({"domain": 1, "tasks": 2, "samples": 3, "C": 1.0}, np.random.SeedSequence(0))
+    assert found == {"STL": 1, "new STL": 0, "ELLA": 1, "TaDeLL": 1, "new TaDeLL": 1, "shuffled": 0, "new shuffled": 0}
+
+
+PRINTED = {1: {"TaDeLL": 0.926, "new TaDeLL": 0.93, "STL": 0.755, "new STL": 0.762, "ELLA": 0.814},
+           2: {"TaDeLL": 0.889, "new TaDeLL": 0.87, "STL": 0.752, "new STL": 0.751, "ELLA": 0.821}}
+
+
+def accuracies(**change):
+    """As printed, but for changes such as ELLA=0.7 (in both domains); shuffled is below everything."""
+    values = {domain: numbers | {"shuffled": 0.5, "new shuffled": 0.5} | change for domain, numbers in PRINTED.items()}
+    return runs(*(({"domain": domain, "samples": 10}, {key: same(value) for key, value in values[domain].items()})
+                  for domain in values))
+
+
+@pytest.mark.parametrize("change, verdict", [
+    ({}, "holds"), ({"ELLA": 0.74}, "contradicted"), ({"ELLA": 0.95}, "contradicted"),
+    ({"new TaDeLL": 0.95}, "contradicted"), ({"new STL": 0.7}, "contradicted"),
+    ({"shuffled": 0.9, "new shuffled": 0.9}, "undecided")])
+def test_c4_9_asks_for_the_order_and_for_the_printed_numbers(tmp_path, change, verdict):
+    space = load(4, "c49_parts", accuracies=accuracies(**change),
+                 synthetic=lambda domain, samples: {"domain": domain, "samples": samples})
+    claim = judge(4, "C4.9", space, tmp_path)
+    if not change:
+        assert claim.measured["domain 1: TaDeLL minus ELLA"] == pytest.approx(0.112)
+        assert claim.measured["domain 2: ELLA minus STL"] == pytest.approx(0.069)
+        assert claim.control["domain 2: TaDeLL minus ELLA"] == pytest.approx(-0.321)
+    assert claim.verdict == verdict
+
+
+def sizes_of_gains(lifelong, zero, shuffled=(-0.1, 0.0)):
+    """Gains over an STL of 0.5 with 3 and with 100 samples."""
+    def values(i):
+        numbers = {"STL": 0.5, "new STL": 0.5, "TaDeLL": 0.5 + lifelong[i], "new TaDeLL": 0.5 + zero[i],
+                   "shuffled": 0.5 + shuffled[i], "new shuffled": 0.5 + shuffled[i]}
+        return {key: same(value) for key, value in numbers.items()}
+    found = runs(*(({"domain": 2, "samples": samples}, values(i)) for i, samples in enumerate((3, 100))))
+    return load(4, "by_samples", "gains", accuracies=found, sizes=[3, 100],
+                synthetic=lambda domain, samples: {"domain": domain, "samples": samples})
+
+
+@pytest.mark.parametrize("lifelong, zero, shuffled, verdict", [
+    ((0.2, 0.05), (0.1, 0.02), (-0.1, 0.0), "holds"),
+    ((0.2, 0.3), (0.1, 0.02), (-0.1, 0.0), "contradicted"),  # more with many samples
+    ((0.2, 0.05), (-0.1, -0.2), (-0.1, 0.0), "contradicted"),  # a loss with few
+    ((0.2, 0.05), (0.1, 0.02), (0.2, 0.0), "undecided")])
+def test_c4_10_compares_gains_with_few_and_many_samples(tmp_path, lifelong, zero, shuffled, verdict):
+    claim = judge(4, "C4.10", sizes_of_gains(lifelong, zero, shuffled), tmp_path)
+    assert list(claim.measured.values()) == pytest.approx(
+        [lifelong[0], lifelong[0] - lifelong[1], zero[0], zero[0] - zero[1]])
+    assert claim.verdict == verdict
+
+
+# ------------------------------------------------------------------------------------------ C4.11: which features tell
+
+def test_subsets_and_their_control_choose_columns_and_tasks():
+    class Tasks:
+        def __init__(self, descriptors):
+            self.descriptors = np.array(descriptors, float)
+
+        def __len__(self):
+            return len(self.descriptors)
+
+    made = []
+
+    class Method(Recorder):
+        def __init__(self, *settings):
+            super().__init__()
+            made.append(self)
+
+    met = None, Tasks([[1, 2, 3, 1], [4, 5, 6, 1]]), Tasks([[7, 8, 9, 1]]), None, [(0, [0.0], [[1.0]])]
+    space = load(4, "subset_trial", "SUBSETS", meet_tasks=lambda config, seed: met, TaDeLL=Method,
+                 mean_reward=lambda *given: 0.0)
+    found = space.subset_trial({"k": 1, "sparsity": 0, "ridge": 0, "weight": 1}, np.random.SeedSequence(0))
+    assert list(found) == [kind + name for kind in ("", "shuffled ") for name in space.SUBSETS]
+    described = {name: method.told[0][-1] for name, method in zip(found, made, strict=True)}
+    assert described["MK"] == [1, 3, 1] and described["shuffled MK"] == [4, 6, 1] and described["D"] == [2, 1]
+    assert all(method.asked == [[[7, 8, 9][i] for i in chosen] + [1]]
+               for method, chosen in zip(made, [*space.SUBSETS.values()] * 2, strict=True))
+
+
+def subset_space(jump, shuffled=None):
+    space = load(4, "subset_parts", "features_used", "SUBSETS")
+    space.jump = {"": np.array(jump, float), "shuffled ": np.array(jump if shuffled is None else shuffled, float)}
+    return space
+
+
+#        M   D   K  MD  MK  DK  MDK
+RISING = [[-9, -8, -7, -6, -5, -4, -1]] * 3
+FALLING = [[-1, -2, -3, -4, -5, -6, -9]] * 3
+
+
+def test_subset_parts_by_hand():
+    rewards = np.array([[-9, -9, -9, -5, -5, -5, -1], [-9, -9, -9, -3, -9, -9, -6]], float)
+    parts = subset_space(rewards).subset_parts(rewards)
+    # Ranks of sizes: 2 2 2 5 5 5 7. Those of the first trial's rewards are the same, of the second's 3 3 3 7 3 3 6.
+    # Less their means of 4: -2 -2 -2 1 1 1 3 and -1 -1 -1 3 -1 -1 2; products add to 13, squares to 24 and 18.
+    assert parts["rank correlation of subset size and jump-start"] == pytest.approx([1, 13 / np.sqrt(24 * 18)])
+    assert parts["full set minus mean of the single features"].tolist() == [8, 3]
+    assert parts["full set minus the best other subset"].tolist() == [4, -3]  # MD, with -4 on average, in both
+
+
+@pytest.mark.filterwarnings("ignore:An input array is constant")
+def test_trials_in_which_all_subsets_are_alike_have_no_correlation():
+    parts = subset_space(np.ones((2, 7))).subset_parts(np.ones((2, 7)))
+    assert np.isnan(parts["rank correlation of subset size and jump-start"]).all()
+
+
+@pytest.mark.parametrize("jump, shuffled, verdict", [
+    (RISING, FALLING, "holds"), (FALLING, FALLING, "contradicted"), (RISING, RISING, "undecided"),
+    ([[-9, -8, -7, -6, -5, -1, -4]] * 3, FALLING, "contradicted")])  # two features are better than three
+def test_c4_11_asks_for_the_order_and_for_the_full_set(tmp_path, jump, shuffled, verdict):
+    assert judge(4, "C4.11", subset_space(jump, shuffled), tmp_path).verdict == verdict
+
+
+# -------------------------------------------------------------------------------------------------------- C4.12: costs
+
+def costs(power_tadell=1, power_rival=2, factor=100.0, counts=(20, 40, 60)):
+    entries = [({"system": name, "tasks": count},
+                {"seconds TaDeLL": same(count**power_tadell / 40**power_tadell),
+                 "seconds Sinapov et al.": same((1 + i) * factor * count**power_rival / 40**power_rival)})
+               for i, name in enumerate(SYSTEMS) for count in counts]  # fmt: skip
+    space = load(4, "seconds", "exponents", costs=runs(*entries), counts=list(counts), systems=SYSTEMS, tasks=40)
+    methods = ("TaDeLL", "Sinapov et al.")
+    space.per_task = {m: np.stack([space.seconds(m, n) for n in range(4)], axis=1) / 40 for m in methods}
+    return space
+
+
+@pytest.mark.parametrize("change, verdict", [
+    ({}, "holds"), ({"factor": 20.0}, "contradicted"), ({"power_rival": 1}, "contradicted"),
+    ({"power_tadell": 2}, "contradicted")])
+def test_c4_12_is_the_smallest_ratio_and_the_growth(tmp_path, change, verdict):
+    claim = judge(4, "C4.12", costs(**change), tmp_path)
+    powers = change.get("power_rival", 2), change.get("power_tadell", 1)
+    # At 40 tasks the rival takes 100, 200, 300 and 400 s on the four systems, TaDeLL one.
+    assert list(claim.measured.values()) == pytest.approx([change.get("factor", 100.0), *powers])
+    assert claim.verdict == verdict
+
+
+# ------------------------------------------------------------------------------------ C4.13: more tasks, C4.14: theory
+
+def test_fewer_tasks_are_the_first_ones_with_all_their_meetings():
+    class Tasks:
+        def __init__(self, names):
+            self.names, self.descriptors = names, np.zeros((len(names), 1))
+
+        def __len__(self):
+            return len(self.names)
+
+        def __getitem__(self, chosen):
+            return Tasks(self.names[chosen])
+
+    seen = []
+
+    def learn_dictionaries(config, old, estimates):
+        seen.append((old.names.tolist(), [task for task, _ in estimates]))
+        return dict.fromkeys(("TaDeLL", "TaDeMTL", "shuffled"), Recorder()), None
+
+    estimates = [(4, 0), (0, 0), (1, 0), (0, 0), (3, 0), (2, 0), (5, 0)]
+    met = None, Tasks(np.arange(6)), Tasks(np.arange(2)), None, estimates
+    space = load(4, "numbers_trial", meet_tasks=lambda config, seed: met, learn_dictionaries=learn_dictionaries,
+                 mean_reward=lambda *given: len(seen))
+    found = space.numbers_trial({"fewest": 2, "tasks": 6}, np.random.SeedSequence(0))
+    assert seen[0] == ([0, 1], [0, 1, 0]) and seen[2] == ([0, 1, 2, 3], [0, 1, 0, 3, 2])
+    assert seen[-1][1] == [4, 0, 1, 0, 3, 2, 5] and found["TaDeLL"].tolist() == [1, 2, 3, 4, 5]
+
+
+def numbers(**curves):
+    values = {"TaDeLL": [(-9, -4), (-9, -2), (-9, 0)], "TaDeMTL": [(-9, -3), (-9, -2), (-9, -1)],
+              "shuffled": [(-9, -9.5)] * 3} | curves
+    curves = {name: [np.array(curve, float) for curve in found] for name, found in values.items()}
+    return load(4, "growth", "spread", numbers=runs(({}, curves)))
+
+
+def test_growth_and_spread_by_hand():
+    space = numbers()
+    assert space.growth("TaDeLL").tolist() == [5, 7, 9]
+    assert space.spread("TaDeLL").tolist() == [1, 0, 1]  # distances 0 and 2, 0 and 0, 0 and 2 from the mean curve
+    assert numbers(TaDeLL=[(-9, -4)]).spread("TaDeLL").tolist() == [0]  # one trial has no spread
+
+
+@pytest.mark.parametrize("change, verdict", [
+    ({"TaDeMTL": [(-9, -2)] * 3, "TaDeLL": [(-9, -4), (-9, -4), (-9, 2)]}, "holds"),
+    ({"TaDeMTL": [(-9, -8), (-9, 2), (-9, 6)], "TaDeLL": [(-9, -2)] * 3}, "contradicted"),  # the batch spreads more
+    ({"TaDeLL": [(-2, -9)] * 3}, "contradicted"),
+    ({"TaDeMTL": [(-9, -2)] * 3, "TaDeLL": [(-9, -4), (-9, -4), (-9, 2)], "shuffled": [(-9, -2)] * 3},
+     "undecided")])
+def test_c4_13_asks_for_growth_and_steadiness(tmp_path, change, verdict):
+    assert judge(4, "C4.13", numbers(**change), tmp_path).verdict == verdict
+
+
+def test_a_life_notes_steps_and_an_objective_over_what_it_remembers():
+    """A stand-in whose dictionary is the number of the task met, and all codes 1."""
+    class Method:
+        def __init__(self, *settings):
+            self.codes_, self.names = {}, []
+
+        def partial_fit(self, name, alpha, gamma, description):
+            self.names.append(name)
+            self.basis_, self.codes_[name] = alpha[:, None].copy(), np.ones(1)
+
+    estimates = [(t, np.array([float(t**2)]), np.eye(1)) for t in range(4)]
+    space = load(4, "live", TaDeLL=Method)
+    config = {"k": 1, "sparsity": 0.5, "ridge": 0.1}
+    method, steps, objectives = space.live(config, estimates, np.zeros((4, 1)), memory=2)
+    assert method.names == [0, 1, 0, 1]  # a name met before is exchanged
+    assert steps.tolist() == [0, 1, 3, 5]  # of L = 0, 1, 4, 9
+    # The last two tasks, with their codes 1 in the latest L: fit, 0.5 for codes, 0.1 L^2.
+    assert objectives == pytest.approx([0.5, 0.5 + 0.5 + 0.1, 4.5 + 0.5 + 1.6, 12.5 + 0.5 + 8.1])
+    assert space.live(config, estimates, np.zeros((4, 1)), memory=4)[2][-1] == pytest.approx((81 + 64 + 25) / 4 + 8.6)
+
+
+def theory(slope=-1.0, tail=0.01, coherence=-0.2, late=1.0, growth=1.0):
+    """Steps T^slope, and an objective of 1 with a bump of `tail` in the last tenth; `window` does not settle."""
+    T = np.arange(1, 101)
+    objectives = np.ones(100)
+    objectives[92] += tail
+    lives = {"steps": same(*T**slope), "objectives": same(*objectives), "window steps": same(*np.ones(100)),
+             "window objectives": same(*(2 + np.sin(T))), "coherence of K": same(0.5 + coherence),
+             "coherence of L": same(0.5)}
+    grown = {"T": [{"T": T} for T in (10, 1000)], "k": [{"k": k} for k in (4, 8, 16)],
+             "d": [{"d": d} for d in (8, 16, 32)]}
+    times = {"T": (1.0, late), "k": np.array([4.0, 8, 16]) ** growth, "d": np.array([8.0, 16, 32]) ** growth}
+    updates = runs(*((config, {"seconds": same(seconds)}) for key in grown
+                     for config, seconds in zip(grown[key], times[key], strict=True)))  # fmt: skip
+    return load(4, "settling", "update_growth", theory=runs(({}, lives)), updates=updates, grown=grown)
+
+
+def test_c4_14_reads_slopes_and_shares(tmp_path):
+    claim = judge(4, "C4.14", theory(), tmp_path)
+    assert list(claim.measured.values()) == pytest.approx([-0.2, -1, 0.01, 1, 1, 1], abs=1e-6)
+    assert claim.control["slope of log |L_T - L_T-1| in log T"] == pytest.approx(0)
+    assert (claim.verdict, claim.control_verdict) == ("holds", "contradicted")
+
+
+@pytest.mark.parametrize("change", [{"slope": -0.5}, {"slope": -2.0}, {"tail": 0.05}, {"coherence": 0.1},
+                                    {"late": 1.3}, {"growth": 3.5}])
+def test_every_part_of_c4_14_can_fail(tmp_path, change):
+    assert judge(4, "C4.14", theory(**change), tmp_path).verdict == "contradicted"
+
+
+def test_the_slope_is_that_of_the_second_half():
+    space = theory()
+    steps = np.where(np.arange(1, 101) <= 50, 1.0, 1 / np.arange(1, 101))
+    space.theory = runs(({}, {"steps": [steps], "objectives": [np.ones(100)]}))
+    assert space.settling("")["slope of log |L_T - L_T-1| in log T"] == pytest.approx([-1])
+
+
+# ------------------------------------------------------------------------------------------------------ C4.15: Hessians
+
+def test_the_numerical_hessian_of_a_quadratic_by_hand():
+    """Returns R, one action and one state x: the loss is the mean of R (a - theta x)^2 / 2 sigma^2, bent by R x^2."""
+    states = np.array([[[[1.0], [0]], [[2.0], [0]]]])  # (1 policy, 2 roll-outs, H + 1, 1)
+    actions, rewards = np.array([[[[0.5]], [[1.0]]]]), np.array([[[-3.0], [-1.0]]])
+    paths = SimpleNamespace(states=states, actions=actions, rewards=rewards)
+    hessian = load(4, "numerical_hessian").numerical_hessian(paths, np.array([0.3]), noise=0.5)
+    assert hessian == pytest.approx(np.array([[(3 * 1 + 1 * 4) / 2 / 0.25]]))  # minus the return is the weight
+
+
+def test_different_parameters_of_the_numerical_hessian_mix():
+    states = np.array([[[[1.0, 2.0], [0, 0]]]])
+    paths = SimpleNamespace(states=states, actions=np.array([[[[0.0]]]]), rewards=np.array([[[-1.0]]]))
+    hessian = load(4, "numerical_hessian").numerical_hessian(paths, np.zeros(2), noise=1.0)
+    assert hessian == pytest.approx(np.array([[1, 2], [2, 4]]))
+
+
+@pytest.mark.parametrize("ours, printed, verdict", [(0.01, 0.9, "holds"), (0.5, 0.9, "contradicted"),
+                                                    (0.01, 0.02, "undecided")])
+def test_c4_15_names_both_learners(tmp_path, ours, printed, verdict):
+    at = {"bicycle": ours, "quadrotor": ours / 2}
+    found = runs(*(({"system": name}, {"ours": same(at[name]), "printed": same(printed)}) for name in at))
+    space = load(4, "differences", hessians=found, systems=SYSTEMS)
+    claim = judge(4, "C4.15", space, tmp_path)
+    assert claim.measured == {"REINFORCE: relative difference": pytest.approx(ours / 2),
+                              "eNAC: relative difference": pytest.approx(ours)}
+    assert claim.verdict == verdict
