@@ -14,8 +14,8 @@ from pathlib import Path
 
 try:
     from lifelong_lib.reproduction import notebooks, report
-    from lifelong_lib.reproduction.fingerprint import ReproductionError, require
-    from lifelong_lib.reproduction.runs import PROFILES, ROOT, processor
+    from lifelong_lib.reproduction.files import ROOT, ReproductionError, read_json, require
+    from lifelong_lib.reproduction.runs import PROFILES, processor
 except ModuleNotFoundError as missing:
     print(f"error: the package {missing.name} is missing in {sys.executable}; run ./reproduce.sh", file=sys.stderr)
     sys.exit(2)
@@ -146,7 +146,7 @@ def run(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, d
         finished[number] = typed[number]
     report.write_provenance(folder, options.profile, finished)
     print("\n".join(report.comparison_lines(report.compare(folder, reference))))
-    counts = report.verdict_counts(report.read_json(folder / "claims.json", []))
+    counts = report.verdict_counts(read_json(folder / "claims.json", []))
     print("claims: " + ", ".join(f"{number} {verdict}" for verdict, number in counts.items()))
     print(f"book: {book.build_book(folder, reference)}")
     left = ", ".join(str(number) for number in chosen if number not in finished)

@@ -14,7 +14,7 @@ import pytest
 from joblib.externals.loky import process_executor
 
 from lifelong_lib.reproduction.backends import completed
-from lifelong_lib.reproduction.fingerprint import ReproductionError
+from lifelong_lib.reproduction.files import ReproductionError
 
 
 def run(experiment, configs, workers=1, backend="loky", address=""):

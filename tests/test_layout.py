@@ -17,14 +17,15 @@ from lifelong_lib.reproduction.notebooks import COMMON, find_notebooks, made_ids
 LIBRARY = REPOSITORY / "lifelong_lib"
 SOURCES = sorted(LIBRARY.rglob("*.py"))
 NOTEBOOKS = find_notebooks(REPOSITORY / "notebooks")
-# The plan was 2,900 after chapters 2 and 4, which have 3,341: a debt, not a licence. Chapters 3 and 5 bring the rest;
-# with all chapters it must not be more than about 5,500.
-LINES = 4790
+# With all eight chapters it must not be more than 6,500.
+LINES = 5300
 
 # May import from: None = anything of the library. A module that is not listed falls under its package.
 ALLOWED = {
-    "reproduction.fingerprint": (),
-    "reproduction.backends": ("reproduction.fingerprint",),
+    "reproduction.files": (),
+    "reproduction.labels": ("reproduction.files",),
+    "reproduction.fingerprint": ("reproduction.files",),
+    "reproduction.backends": ("reproduction.files",),
     "reproduction.statistics": (),
     "reproduction": ("reproduction",),
     "environments": ("environments",),

@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 from lifelong_lib.reproduction import runs
-from lifelong_lib.reproduction.runs import Chapter, NotStored, ReproductionError, run_card, run_grid
+from lifelong_lib.reproduction.files import ReproductionError, require, write_atomically
+from lifelong_lib.reproduction.runs import Chapter, NotStored, run_card, run_grid
 
 HERE = Path(__file__).parents[1]
 CONFIGS = [{"domain": "cart-pole", "tasks": 3}, {"tasks": 2, "domain": "bicycle"}]
@@ -127,7 +128,8 @@ def test_resume_computes_only_what_is_missing(root):
 SCRIPT = f"""
 import sys, time
 import numpy as np
-from lifelong_lib.reproduction.runs import Chapter, ReproductionError, run_grid
+from lifelong_lib.reproduction.files import ReproductionError
+from lifelong_lib.reproduction.runs import Chapter, run_grid
 {inspect.getsource(slow)}
 if __name__ == "__main__":
     try:
@@ -201,7 +203,7 @@ def test_a_full_disk_between_the_two_files_leaves_no_false_pair(root, monkeypatc
     run_and_read(root)
     monkeypatch.setitem(globals(), "SCALE", 4.0)
     with monkeypatch.context() as patch:
-        patch.setattr(runs, "write_json", lambda path, content: runs.require(False, "no space for the record"))
+        patch.setattr(runs, "write_json", lambda path, content: require(False, "no space for the record"))
         with pytest.raises(ReproductionError, match="no space"):
             run_and_read(root)
     run_and_read(root)
@@ -231,7 +233,7 @@ def test_full_disk_is_one_line_and_leaves_no_part_behind(root, monkeypatch, caus
         assert Path(part).exists()
         raise OSError(cause, os.strerror(cause))
 
-    monkeypatch.setattr(runs.os, "replace", refuse)
+    monkeypatch.setattr(os, "replace", refuse)
     with pytest.raises(ReproductionError, match=word) as caught:
         run_and_read(root)
     assert "\n" not in str(caught.value) and not files(root, "*.part") and not files(root)
@@ -281,7 +283,7 @@ def test_plan_computes_nothing_and_predicts(root, options):
     assert len(run_grid(chapter(), "count", count_calls, configs[:1])) == 2
     said.append(report(root, name="count"))
     for costs in ({}, {"ch04/never": 0.5}):
-        runs.write_atomically(root / "figures" / "reference" / "quick" / "unit_costs.json", json.dumps(costs))
+        write_atomically(root / "figures" / "reference" / "quick" / "unit_costs.json", json.dumps(costs))
         with pytest.raises(NotStored):
             run_grid(chapter(), "never", count_calls, configs)
         said.append(report(root, name="never"))

@@ -19,7 +19,7 @@ import numpy as np
 from joblib.externals.loky import get_reusable_executor
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from lifelong_lib.reproduction.fingerprint import ReproductionError, require
+from lifelong_lib.reproduction.files import ReproductionError, require
 
 
 def completed(experiment: Callable, calls: Mapping, backend: str, workers: int, address: str) -> Iterator[tuple]:

@@ -18,10 +18,11 @@ from docutils.utils.math import MathError
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.util import logging
 
-from lifelong_lib.reproduction.fingerprint import SOURCES, require
+from lifelong_lib.reproduction.files import ROOT, read_json, require
+from lifelong_lib.reproduction.fingerprint import SOURCES
+from lifelong_lib.reproduction.labels import VERDICTS, order
 from lifelong_lib.reproduction.notebooks import made_ids, named_in_calls
-from lifelong_lib.reproduction.report import order, read_grids, verdict_counts
-from lifelong_lib.reproduction.runs import ROOT, read_json
+from lifelong_lib.reproduction.report import read_grids, verdict_counts
 from lifelong_lib.reproduction.tables import Table, readable
 
 CONFIGURATION = """
@@ -96,7 +97,8 @@ def _link(identifier: str, places: dict, inside: str, about: str = "") -> str:
 
 
 def _badge(verdict: str, text: str) -> str:
-    return f'<span class="verdict {verdict.replace(" ", "-")}">{text} {verdict}</span>'
+    meaning = html.escape(VERDICTS[verdict])
+    return f'<span class="verdict {verdict.replace(" ", "-")}" title="{meaning}">{text} {verdict}</span>'
 
 
 def _counts(claims: list[dict]) -> str:

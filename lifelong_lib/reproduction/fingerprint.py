@@ -7,7 +7,6 @@ docstrings and layout: a better sentence must not make hours of results stale. W
 import ast
 import dataclasses
 import dis
-import hashlib
 import inspect
 import textwrap
 import types
@@ -15,18 +14,10 @@ from collections.abc import Callable, Iterator, Mapping
 from importlib.util import resolve_name
 from pathlib import Path
 
+from lifelong_lib.reproduction.files import ReproductionError, require, sha256
+
 LIBRARY = "lifelong_lib"
 SOURCES = Path(__file__).resolve().parents[2]  # the folder that holds the library
-
-
-class ReproductionError(ValueError):
-    """A foreseeable mistake or obstacle; its message is one line that names the thing and the mend."""
-
-
-def require(condition, message: str) -> None:
-    """Raise ReproductionError with the message unless the condition is true."""
-    if not condition:
-        raise ReproductionError(message)
 
 
 def fingerprint(experiment: Callable) -> dict[str, str]:
@@ -46,11 +37,6 @@ def changes(stored: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
     differ = [part for part in sorted(stored.keys() | now.keys()) if stored.get(part) != now.get(part)]
     return [f"{part} {'changed' if part in stored and part in now else 'is new' if part in now else 'is gone'}"
             for part in differ]  # fmt: skip
-
-
-def sha256(data: bytes | str) -> str:
-    """Hexadecimal sha256 of bytes, or of a text in UTF-8."""
-    return hashlib.sha256(data.encode() if isinstance(data, str) else data).hexdigest()
 
 
 class _Walk:

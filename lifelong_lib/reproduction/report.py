@@ -6,17 +6,16 @@ Everything here is made from files that a run left in `figures/latest/<profile>`
 import csv
 import math
 import platform
-import re
 import shutil
 from itertools import chain
 from pathlib import Path
 
 from matplotlib.image import imread
 
-from lifelong_lib.reproduction.fingerprint import require, sha256
-from lifelong_lib.reproduction.runs import ROOT, commit, read_json, versions, write_json
+from lifelong_lib.reproduction.files import ROOT, read_json, require, sha256, write_json
+from lifelong_lib.reproduction.labels import VERDICTS, order
+from lifelong_lib.reproduction.runs import commit, versions
 
-VERDICTS = ("holds", "undecided", "contradicted", "not tested")
 RESULTS = "[FT]*.*"  # the files of figures and tables
 
 
@@ -128,8 +127,3 @@ def accept(latest: Path, reference: Path) -> int:
     costs = read_json(reference / "unit_costs.json", {}) | read_json(latest / "unit_costs.json", {})
     write_json(reference / "unit_costs.json", costs)
     return len(made)
-
-
-def order(identifier: str) -> list:
-    """["F", 4, ".", 9] for F4.9, which comes before F4.10; the second entry is the chapter."""
-    return [int(part) if part.isdigit() else part for part in re.findall(r"\d+|\D+", identifier)]

@@ -6,7 +6,6 @@ own SeedSequence on one thread, so where and in which order runs are computed ca
 """
 
 import contextlib
-import errno
 import itertools
 import json
 import math
@@ -26,9 +25,17 @@ import numpy as np
 from tqdm import tqdm
 
 from lifelong_lib.reproduction.backends import completed
-from lifelong_lib.reproduction.fingerprint import ReproductionError, changes, fingerprint, require, sha256
+from lifelong_lib.reproduction.files import (
+    ROOT,
+    ReproductionError,
+    read_json,
+    require,
+    sha256,
+    write_atomically,
+    write_json,
+)
+from lifelong_lib.reproduction.fingerprint import changes, fingerprint
 
-ROOT = Path(os.environ.get("LIFELONG_ROOT") or Path(__file__).resolve().parents[2])
 PROFILES = ("smoke", "quick", "paper")
 PACKAGES = ("numpy", "scipy", "scikit-learn", "torch", "gymnasium", "pybullet", "libsumo")
 
@@ -174,36 +181,6 @@ def processor() -> str:
     linux = Path("/proc/cpuinfo")
     entries = re.findall(r"(?m)^(vendor_id|cpu family|model)\s*: (.+)", linux.read_text() if linux.exists() else "")
     return " ".join(dict(entries).values()) or platform.processor() or platform.machine()
-
-
-def read_json(path: Path, default: object) -> object:
-    """The content of a JSON file, or `default` when there is none; a damaged file raises ReproductionError."""
-    if not path.exists():
-        return default
-    try:
-        return json.loads(path.read_bytes())
-    except ValueError as error:
-        raise ReproductionError(f"{path} is damaged ({error}); delete it and run again") from error
-
-
-def write_json(path: Path, content: object) -> None:
-    write_atomically(path, json.dumps(content, indent=1, sort_keys=True, allow_nan=False) + "\n")
-
-
-def write_atomically(path: Path, data: bytes | str) -> None:
-    """Write a file whole or not at all. Raises ReproductionError when the disk is full or refuses."""
-    part = path.with_name(path.name + ".part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part.write_bytes(data.encode() if isinstance(data, str) else data)
-        os.replace(part, path)
-    except OSError as error:
-        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-        cause = "the disk is full, free some space" if full else f"{error.strerror}, check the folder"
-        raise ReproductionError(f"cannot write {path}: {cause} and run again; what was stored is kept") from error
-    finally:
-        with contextlib.suppress(OSError):
-            part.unlink()
 
 
 def _warn(message: str):
