@@ -15,7 +15,9 @@ from pathlib import Path
 try:
     from lifelong_lib.reproduction import notebooks, report
     from lifelong_lib.reproduction.files import ROOT, ReproductionError, read_json, require
-    from lifelong_lib.reproduction.runs import PROFILES, processor
+    from lifelong_lib.reproduction.grid import Summary, read_summaries
+    from lifelong_lib.reproduction.machine import processor
+    from lifelong_lib.reproduction.runs import PROFILES
 except ModuleNotFoundError as missing:
     print(f"error: the package {missing.name} is missing in {sys.executable}; run ./reproduce.sh", file=sys.stderr)
     sys.exit(2)
@@ -156,29 +158,31 @@ def run(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, d
 def plan(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, dict]) -> int:
     """--plan: minutes a grid and in all. --why ID: the grids that ID rests on. Nothing is computed or overwritten."""
     grids = look(options, chosen, typed)
-    seen = {(grid["chapter"], grid["name"]) for grid in grids}
+    seen = {(grid.chapter, grid.name) for grid in grids}
     named = [(number, name) for number, path in chosen.items() for name in notebooks.grid_names(path)]
     unseen = [place for place in named if place not in seen]
     if options.why:
-        grids = [grid for grid in grids if options.why in grid["makes"]]
+        grids = [grid for grid in grids if options.why in grid.makes]
     for grid in grids:
-        minutes = "minutes unknown" if grid["seconds"] is None else f"{grid['seconds'] / 60:6.1f} min"
-        print(f"chapter {grid['chapter']}  {grid['name']:28} {grid['wanted']:5} runs: {grid['stored']} stored, "
-              f"{grid['stale']} stale, {grid['missing']} missing  {minutes}")
-        for cause, count in grid["causes"].items():
+        minutes = "minutes unknown" if grid.seconds is None else f"{grid.seconds / 60:6.1f} min"
+        print(f"chapter {grid.chapter}  {grid.name:28} {grid.wanted:5} runs: {grid.stored} stored, "
+              f"{grid.stale} stale, {grid.missing} missing  {minutes}")
+        for stamp, count in grid.stamps.items():
+            print(f"    {count} stamped: made by other code, but {stamp}")
+        for cause, count in grid.causes.items():
             print(f"    {count} stale because {cause}")
     for number, name in unseen:
         print(f"chapter {number}  {name:28} depends on runs that are missing; minutes unknown")
     if options.why and not grids + unseen:
         print(f"{options.why} rests on no stored runs: its notebook computes it every time")
-    known = sum(grid["seconds"] or 0 for grid in grids)
+    known = sum(grid.seconds or 0 for grid in grids)
     print(f"about {known / 60:.1f} min to compute, as far as it is known; stored results take the time of drawing only")
     return 0
 
 
 def audit_runs(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, dict]) -> int:
     """Recomputes `options.audit` stored runs, shared out over the chapters; 1 if any differs or too few are stored."""
-    rows = [(grid["chapter"], row) for grid in look(options, chosen, typed) for row in grid["audited"]]
+    rows = [(grid.chapter, row) for grid in look(options, chosen, typed) for row in grid.audited]
     for chapter, row in rows:
         where = f"made on processor {row['made_on']}, here {processor()}"
         said = "identical" if row["same"] else f"DIFFERENT in {', '.join(row['differs'])} ({where})"
@@ -190,7 +194,7 @@ def audit_runs(options: argparse.Namespace, chosen: dict[int, Path], typed: dict
     return int(same < len(rows))
 
 
-def look(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, dict]) -> list[dict]:
+def look(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, dict]) -> list[Summary]:
     """Executes the notebooks into a throw-away folder; returns what run_grid said of each grid."""
     left = options.audit or 0
     with tempfile.TemporaryDirectory(prefix="lifelong-look-") as temporary:
@@ -201,7 +205,7 @@ def look(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, 
                 print(f"looking into chapter {number}", file=sys.stderr, flush=True)
                 asked = kernel_options(options, audit=share, plan=not options.audit)
                 notebooks.execute(path, typed[number] | {"output_dir": temporary}, Path(temporary), asked)
-        return report.read_grids(Path(temporary))
+        return read_summaries(Path(temporary))
 
 
 def compare_command(options: argparse.Namespace) -> int:
