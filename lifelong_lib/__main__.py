@@ -71,12 +71,15 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     run.add_argument("--seeds", type=positive, help="seeds a configuration (default: the profile's)")
     run.add_argument("--fresh", action="store_true", help="recompute what other code made, at paper too")
     run.add_argument("-p", action="append", default=[], metavar="NAME=VALUE", help="a parameter of the notebook")
+    run.set_defaults(stamp=False)
     instead = run.add_mutually_exclusive_group()
     instead.add_argument("--plan", action="store_true", help="only predict the minutes")
     instead.add_argument("--why", metavar="ID", help="only say which runs a figure, table or claim needs, as in F4.2")
     instead.add_argument("--audit", type=positive, metavar="K", help="only recompute K stored runs and compare")
     audit = add("audit", run_command, "recompute K stored runs and say if they come out the same", profile, grids)
     audit.add_argument("audit", type=positive, metavar="K")
+    audit.add_argument("--stamp", action="store_true",
+                       help="K runs of every grid; where all are identical, its stale runs count as made by this code")
     audit.set_defaults(seeds=None, fresh=False, p=[], plan=False, why=None)
     add("compare", compare_command, "compare the last run with the committed reference", profile)
     add("accept", accept_command, "make the last run the reference", profile)
@@ -181,17 +184,34 @@ def plan(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, 
 
 
 def audit_runs(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, dict]) -> int:
-    """Recomputes `options.audit` stored runs, shared out over the chapters; 1 if any differs or too few are stored."""
-    rows = [(grid.chapter, row) for grid in look(options, chosen, typed) for row in grid.audited]
+    """Recomputes `options.audit` stored runs, shared out over the chapters, or with --stamp as many of every grid.
+
+    Returns 1 if any differs, or too few are stored.
+    """
+    grids = look(options, chosen, typed)
+    rows = [(grid.chapter, row) for grid in grids for row in grid.audited]
     for chapter, row in rows:
         where = f"made on processor {row['made_on']}, here {processor()}"
-        said = "identical" if row["same"] else f"DIFFERENT in {', '.join(row['differs'])} ({where})"
+        same = "identical" if row["compared"] else "measured times only, nothing to compare"
+        said = same if row["same"] else f"DIFFERENT in {', '.join(row['differs'])} ({where})"
         print(f"chapter {chapter}  {row['run']}: {said}{' (made by older code)' * row['stale']}")
     same = sum(row["same"] for _, row in rows)
     print(f"{same} of {len(rows)} recomputed runs are identical to what is stored")
+    if options.stamp:
+        return tell_stamps(grids)
     if len(rows) < options.audit:
         return complain(f"of {options.audit} runs drawn, the notebooks as they are now own only {len(rows)}", 1)
     return int(same < len(rows))
+
+
+def tell_stamps(grids: list[Summary]) -> int:
+    """Prints which grids are stamped; returns 1, and names them, if runs of some came out differently."""
+    for grid in grids:
+        for stamp, count in grid.stamps.items():
+            print(f"chapter {grid.chapter}  {grid.name}: {count} of {grid.wanted} runs are stamped: {stamp}")
+    different = [f"{grid.name} of chapter {grid.chapter} ({grid.stale} stale)" for grid in grids
+                 if not all(row["same"] for row in grid.audited)]  # fmt: skip
+    return complain(f"not stamped, for runs came out differently: {', '.join(different)}", 1) if different else 0
 
 
 def look(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, dict]) -> list[Summary]:
@@ -199,11 +219,11 @@ def look(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, 
     left = options.audit or 0
     with tempfile.TemporaryDirectory(prefix="lifelong-look-") as temporary:
         for place, (number, path) in enumerate(chosen.items()):
-            share = -(-left // (len(chosen) - place))
+            share = options.audit if options.stamp else -(-left // (len(chosen) - place))
             left -= share
             if share or not options.audit:
                 print(f"looking into chapter {number}", file=sys.stderr, flush=True)
-                asked = kernel_options(options, audit=share, plan=not options.audit)
+                asked = kernel_options(options, audit=share, stamp=options.stamp, plan=not options.audit)
                 notebooks.execute(path, typed[number] | {"output_dir": temporary}, Path(temporary), asked)
         return read_summaries(Path(temporary))
 

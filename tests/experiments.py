@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
+from lifelong_lib.reproduction.packed import to_npz
 from lifelong_lib.reproduction.runs import Chapter, run_grid
-from lifelong_lib.reproduction.store import Store, to_npz
+from lifelong_lib.reproduction.store import Store
 
 CONFIGS = [{"domain": "cart-pole", "tasks": 3}, {"tasks": 2, "domain": "bicycle"}]
 SCALE = 2.0

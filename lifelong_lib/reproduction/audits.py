@@ -1,35 +1,52 @@
-"""Audits: stored runs are computed again and must come out the same."""
+"""Audits: stored runs are computed again and must come out the same. Where they do, a stamp says so."""
 
+import json
+from collections import Counter
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from lifelong_lib.reproduction.configurations import canonical
+from lifelong_lib.reproduction.files import sha256
 from lifelong_lib.reproduction.grid import Grid
+from lifelong_lib.reproduction.machine import commit
+from lifelong_lib.reproduction.packed import Run, group_of
 from lifelong_lib.reproduction.store import Store
 
 
 def audit(grid: Grid, results: Path, workers: int, options: Mapping) -> list[dict]:
-    """A row for each of this grid's share of the options["audit"] runs drawn from all under `results`, by name.
+    """A row for each run of the grid that was computed again, by name: {run, same, differs, compared, stale, made_on}.
 
-    {run, same, differs (names of results, and by how much), stale, made_on}. Values whose names begin with `seconds`
-    are measured times and not compared.
+    options["audit"]: their number, drawn from all runs under `results` or, with options["stamp"], from this grid alone.
+    Values whose names begin with `seconds` are measured times and not compared.
     """
-    share = _share(grid, results, options["audit"])
-    rows = []
+    number, rows = options["audit"], []
+    share = _spread(grid, number) if options.get("stamp") else _share(grid, results, number)
     for key, values, _ in grid.computed(share, workers, options):
         stored = grid.runs[key]
-        differs = differences(stored.values, values)
-        rows.append({"run": f"{grid.name}/{key}", "same": not differs, "differs": differs, "stale": key in grid.stale,
-                     "made_on": stored.versions.get("processor", "one unknown")})  # fmt: skip
+        compared, differs = differences(stored.values, values)
+        rows.append({"run": f"{grid.name}/{key}", "same": not differs, "differs": differs, "compared": compared,
+                     "stale": key in grid.stale, "made_on": stored.versions.get("processor", "one unknown")})
     return sorted(rows, key=lambda row: row["run"])
 
 
-def differences(old: Mapping, new: Mapping) -> list[str]:
-    """What is not identical in two runs' values, e.g. ["curve by 2e-16 at most"]."""
+def stamped(grid: Grid, rows: list[dict]) -> dict[str, Run]:
+    """All stored runs of a grid whose audit found no difference: stale ones count as made by today's code from now on.
+
+    Their stamp says how many runs were computed again, and at which commit.
+    """
+    stamp = f"audited {len(rows)} of {len(grid.tasks)} at commit {commit()}"
+    new = {key: replace(grid.runs[key], made_by=grid.tasks[key].depends, stamp=stamp) for key in grid.stale}
+    return grid.stored | new
+
+
+def differences(old: Mapping, new: Mapping) -> tuple[int, list[str]]:
+    """How many results were compared, and which are not identical, e.g. ["curve by 2e-16 at most"]."""
     names = sorted(name for name in old.keys() | new.keys() if not name.startswith("seconds"))
     found = {name: _difference(old.get(name), new.get(name)) for name in names}
-    return [f"{name} {said}" for name, said in found.items() if said]
+    return len(names), [f"{name} {said}" for name, said in found.items() if said]
 
 
 def _difference(old, new) -> str:
@@ -44,10 +61,26 @@ def _difference(old, new) -> str:
     return f"by {np.max(np.abs(old - new)):.2g} at most"
 
 
+def _spread(grid, number) -> list[str]:
+    """Names of `number` runs, stale ones if there are any: another draw at every commit, spread over the codes and
+    machines that made them and over configurations."""
+    names = sorted(grid.stale or grid.runs)
+    traits = {name: (json.dumps(group_of(grid.runs[name]), sort_keys=True), canonical(grid.tasks[name].config))
+              for name in names}  # fmt: skip
+    draw = np.random.default_rng(int(sha256(f"{commit()} {grid.name}"), 16))
+    left = [names[i] for i in draw.permutation(len(names))]
+    taken, drawn = Counter(), []
+    for _ in range(min(number, len(left))):
+        drawn.append(min(left, key=lambda name: [taken[trait] for trait in traits[name]]))
+        left.remove(drawn[-1])
+        taken.update(traits[drawn[-1]])
+    return drawn
+
+
 def _share(grid, results, number) -> list[str]:
     """The runs of this grid among `number` drawn from the whole chapter: the same draw for every grid."""
-    folders = sorted(path for path in results.iterdir() if path.is_dir())
-    names = [(folder.name, key) for folder in folders for key in Store(folder, grid.chapter, folder.name).keys()]
+    grids = sorted({path.name.partition(".")[0] for path in results.iterdir()})
+    names = [(name, key) for name in grids for key in sorted(Store(results / name, grid.chapter, name).read(keep=True))]
     order = np.random.default_rng(number).permutation(len(names))[:number]
     drawn = [names[i] for i in order]
     return [key for key in grid.tasks if (grid.name, key) in drawn]

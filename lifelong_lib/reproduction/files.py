@@ -37,20 +37,45 @@ def read_json(path: Path, default: object) -> object:
 
 def write_json(path: Path, content: object) -> None:
     """Write `content` as readable JSON with sorted names, whole or not at all."""
-    write_atomically(path, json.dumps(content, indent=1, sort_keys=True, allow_nan=False) + "\n")
+    write_atomically(path, _as_text(content))
+
+
+def seal(content: dict) -> str:
+    """Readable JSON of `content` and its own checksum, from which `unseal` sees any damage."""
+    return _as_text(content | {"checksum": sha256(_as_text(content))})
+
+
+def unseal(data: bytes) -> dict:
+    """The content that `seal` wrote. Raises ReproductionError, or another ValueError, if a byte is not as written."""
+    content = json.loads(data)
+    require(isinstance(content, dict) and content.pop("checksum", None), "it has no checksum of its own")
+    require(seal(content).encode() == data, "its bytes are not those that were written")
+    return content
 
 
 def write_atomically(path: Path, data: bytes | str) -> None:
     """Write a file whole or not at all. Raises ReproductionError when the disk is full or refuses."""
     part = path.with_name(path.name + ".part")
+    with explained(path):
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            part.write_bytes(data.encode() if isinstance(data, str) else data)
+            os.replace(part, path)
+        finally:
+            with contextlib.suppress(OSError):
+                part.unlink()
+
+
+@contextlib.contextmanager
+def explained(path: Path):
+    """What a disk refuses inside becomes a ReproductionError that names the path and the mend."""
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part.write_bytes(data.encode() if isinstance(data, str) else data)
-        os.replace(part, path)
+        yield
     except OSError as error:
         full = error.errno in (errno.ENOSPC, errno.EDQUOT)
         cause = "the disk is full, free some space" if full else f"{error.strerror}, check the folder"
         raise ReproductionError(f"cannot write {path}: {cause} and run again; what was stored is kept") from error
-    finally:
-        with contextlib.suppress(OSError):
-            part.unlink()
+
+
+def _as_text(content) -> str:
+    return json.dumps(content, indent=1, sort_keys=True, allow_nan=False) + "\n"

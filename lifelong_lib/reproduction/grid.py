@@ -15,7 +15,7 @@ from lifelong_lib.reproduction.backends import Call, completed
 from lifelong_lib.reproduction.configurations import canonical, file_name, run_key
 from lifelong_lib.reproduction.files import read_json, require, sha256, write_json
 from lifelong_lib.reproduction.fingerprint import changes, digests
-from lifelong_lib.reproduction.store import Run
+from lifelong_lib.reproduction.packed import Run
 
 
 @dataclass(frozen=True)

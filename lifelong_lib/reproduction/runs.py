@@ -16,13 +16,14 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from lifelong_lib.reproduction.audits import audit
+from lifelong_lib.reproduction.audits import audit, stamped
 from lifelong_lib.reproduction.configurations import canonical
 from lifelong_lib.reproduction.files import ROOT, ReproductionError, read_json, require
 from lifelong_lib.reproduction.fingerprint import checksums, fingerprint
 from lifelong_lib.reproduction.grid import Grid, make_tasks, seconds_needed, whole
 from lifelong_lib.reproduction.machine import commit, versions
-from lifelong_lib.reproduction.store import Run, Store, warn
+from lifelong_lib.reproduction.packed import Run
+from lifelong_lib.reproduction.store import Store, warn
 
 PROFILES = ("smoke", "quick", "paper")
 
@@ -35,7 +36,7 @@ class NotStored(ReproductionError):
 class Chapter:
     """A notebook's parameters.
 
-    Commands pass their checked options backend, address, fresh, plan and audit (a number) as JSON in the
+    Commands pass their checked options backend, address, fresh, plan, audit (a number) and stamp as JSON in the
     variable LIFELONG_OPTIONS; a notebook that was opened by hand has none.
     """
 
@@ -111,7 +112,7 @@ def run_grid(chapter: Chapter, name: str, experiment: Callable, configs, seeds=N
     if "plan" in chapter.options:
         runs = _plan(chapter, grid)
     elif "audit" in chapter.options:
-        runs = _audit(chapter, grid)
+        runs = _audit(chapter, grid, store)
     else:
         runs = _complete(chapter, grid, store)
     return Results(runs[key] for key in tasks)
@@ -127,6 +128,8 @@ def _complete(chapter, grid, store) -> dict[str, Run]:
         warn(f"{len(kept)} of {len(grid.tasks)} runs of '{grid.name}' were {cause}: kept and counted, --fresh "
              "recomputes them, audit --stamp may find them the same")  # fmt: skip
     now = replace(grid, stored=grid.stored | done)
+    if not store.packed:
+        store.pack(now.stored)
     chapter.grids[grid.name] = now.summary(computed=len(done), causes=grid.causes)
     chapter.grids[grid.name].write(chapter.folder)
     return now.runs
@@ -169,12 +172,18 @@ def _plan(chapter, grid) -> dict[str, Run]:
     return grid.runs
 
 
-def _audit(chapter, grid) -> dict[str, Run]:
-    """Recompute some stored runs and say whether they come out the same."""
+def _audit(chapter, grid, store) -> dict[str, Run]:
+    """Recompute some stored runs and say whether they come out the same; with the option `stamp`, stamp the grid."""
     if grid.missing:
         cause = f"{len(grid.missing)} of {len(grid.tasks)} runs of '{grid.name}' are not stored"
         raise NotStored(f"{cause}: run the chapter before its audit")
-    grid.summary(audited=audit(grid, chapter.results, chapter.workers, chapter.options)).write(chapter.folder)
+    rows = audit(grid, chapter.results, chapter.workers, chapter.options)
+    if chapter.options.get("stamp") and grid.stale and all(row["same"] for row in rows):
+        if not store.packed:  # loose runs would count as newer than what is stamped
+            store.pack(grid.stored)
+        grid = replace(grid, stored=stamped(grid, rows))
+        store.pack(grid.stored)
+    grid.summary(audited=rows).write(chapter.folder)
     return grid.runs
 
 
