@@ -15,8 +15,10 @@ from pathlib import Path
 try:
     from lifelong_lib.reproduction import notebooks, report
     from lifelong_lib.reproduction.children import surroundings
-    from lifelong_lib.reproduction.fingerprint import ReproductionError, require
-    from lifelong_lib.reproduction.runs import PROFILES, ROOT, processor
+    from lifelong_lib.reproduction.files import ROOT, ReproductionError, read_json, require
+    from lifelong_lib.reproduction.grid import Summary, read_summaries
+    from lifelong_lib.reproduction.machine import processor
+    from lifelong_lib.reproduction.runs import PROFILES
 except ModuleNotFoundError as missing:
     print(f"error: the package {missing.name} is missing in {sys.executable}; run ./reproduce.sh", file=sys.stderr)
     sys.exit(2)
@@ -70,12 +72,15 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     run.add_argument("--seeds", type=positive, help="seeds a configuration (default: the profile's)")
     run.add_argument("--fresh", action="store_true", help="recompute what other code made, at paper too")
     run.add_argument("-p", action="append", default=[], metavar="NAME=VALUE", help="a parameter of the notebook")
+    run.set_defaults(stamp=False)
     instead = run.add_mutually_exclusive_group()
     instead.add_argument("--plan", action="store_true", help="only predict the minutes")
     instead.add_argument("--why", metavar="ID", help="only say which runs a figure, table or claim needs, as in F4.2")
     instead.add_argument("--audit", type=positive, metavar="K", help="only recompute K stored runs and compare")
     audit = add("audit", run_command, "recompute K stored runs and say if they come out the same", profile, grids)
     audit.add_argument("audit", type=positive, metavar="K")
+    audit.add_argument("--stamp", action="store_true",
+                       help="K runs of every grid; where all are identical, its stale runs count as made by this code")
     audit.set_defaults(seeds=None, fresh=False, p=[], plan=False, why=None)
     add("compare", compare_command, "compare the last run with the committed reference", profile)
     add("accept", accept_command, "make the last run the reference", profile)
@@ -147,7 +152,7 @@ def run(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, d
         finished[number] = typed[number]
     report.write_provenance(folder, options.profile, finished)
     print("\n".join(report.comparison_lines(report.compare(folder, reference))))
-    counts = report.verdict_counts(report.read_json(folder / "claims.json", []))
+    counts = report.verdict_counts(read_json(folder / "claims.json", []))
     print("claims: " + ", ".join(f"{number} {verdict}" for verdict, number in counts.items()))
     print(f"book: {book.build_book(folder, reference)}")
     left = ", ".join(str(number) for number in chosen if number not in finished)
@@ -157,52 +162,71 @@ def run(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, d
 def plan(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, dict]) -> int:
     """--plan: minutes a grid and in all. --why ID: the grids that ID rests on. Nothing is computed or overwritten."""
     grids = look(options, chosen, typed)
-    seen = {(grid["chapter"], grid["name"]) for grid in grids}
+    seen = {(grid.chapter, grid.name) for grid in grids}
     named = [(number, name) for number, path in chosen.items() for name in notebooks.grid_names(path)]
     unseen = [place for place in named if place not in seen]
     if options.why:
-        grids = [grid for grid in grids if options.why in grid["makes"]]
+        grids = [grid for grid in grids if options.why in grid.makes]
     for grid in grids:
-        minutes = "minutes unknown" if grid["seconds"] is None else f"{grid['seconds'] / 60:6.1f} min"
-        print(f"chapter {grid['chapter']}  {grid['name']:28} {grid['wanted']:5} runs: {grid['stored']} stored, "
-              f"{grid['stale']} stale, {grid['missing']} missing  {minutes}")
-        for cause, count in grid["causes"].items():
+        minutes = "minutes unknown" if grid.seconds is None else f"{grid.seconds / 60:6.1f} min"
+        print(f"chapter {grid.chapter}  {grid.name:28} {grid.wanted:5} runs: {grid.stored} stored, "
+              f"{grid.stale} stale, {grid.missing} missing  {minutes}")
+        for stamp, count in grid.stamps.items():
+            print(f"    {count} stamped: made by other code, but {stamp}")
+        for cause, count in grid.causes.items():
             print(f"    {count} stale because {cause}")
     for number, name in unseen:
         print(f"chapter {number}  {name:28} depends on runs that are missing; minutes unknown")
     if options.why and not grids + unseen:
         print(f"{options.why} rests on no stored runs: its notebook computes it every time")
-    known = sum(grid["seconds"] or 0 for grid in grids)
+    known = sum(grid.seconds or 0 for grid in grids)
     print(f"about {known / 60:.1f} min to compute, as far as it is known; stored results take the time of drawing only")
     return 0
 
 
 def audit_runs(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, dict]) -> int:
-    """Recomputes `options.audit` stored runs, shared out over the chapters; 1 if any differs or too few are stored."""
-    rows = [(grid["chapter"], row) for grid in look(options, chosen, typed) for row in grid["audited"]]
+    """Recomputes `options.audit` stored runs, shared out over the chapters, or with --stamp as many of every grid.
+
+    Returns 1 if any differs, or too few are stored.
+    """
+    grids = look(options, chosen, typed)
+    rows = [(grid.chapter, row) for grid in grids for row in grid.audited]
     for chapter, row in rows:
         where = f"made on processor {row['made_on']}, here {processor()}"
-        said = "identical" if row["same"] else f"DIFFERENT in {', '.join(row['differs'])} ({where})"
+        same = "identical" if row["compared"] else "measured times only, nothing to compare"
+        said = same if row["same"] else f"DIFFERENT in {', '.join(row['differs'])} ({where})"
         print(f"chapter {chapter}  {row['run']}: {said}{' (made by older code)' * row['stale']}")
     same = sum(row["same"] for _, row in rows)
     print(f"{same} of {len(rows)} recomputed runs are identical to what is stored")
+    if options.stamp:
+        return tell_stamps(grids)
     if len(rows) < options.audit:
         return complain(f"of {options.audit} runs drawn, the notebooks as they are now own only {len(rows)}", 1)
     return int(same < len(rows))
 
 
-def look(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, dict]) -> list[dict]:
+def tell_stamps(grids: list[Summary]) -> int:
+    """Prints which grids are stamped; returns 1, and names them, if runs of some came out differently."""
+    for grid in grids:
+        for stamp, count in grid.stamps.items():
+            print(f"chapter {grid.chapter}  {grid.name}: {count} of {grid.wanted} runs are stamped: {stamp}")
+    different = [f"{grid.name} of chapter {grid.chapter} ({grid.stale} stale)" for grid in grids
+                 if not all(row["same"] for row in grid.audited)]  # fmt: skip
+    return complain(f"not stamped, for runs came out differently: {', '.join(different)}", 1) if different else 0
+
+
+def look(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, dict]) -> list[Summary]:
     """Executes the notebooks into a throw-away folder; returns what run_grid said of each grid."""
     left = options.audit or 0
     with tempfile.TemporaryDirectory(prefix="lifelong-look-") as temporary:
         for place, (number, path) in enumerate(chosen.items()):
-            share = -(-left // (len(chosen) - place))
+            share = options.audit if options.stamp else -(-left // (len(chosen) - place))
             left -= share
             if share or not options.audit:
                 print(f"looking into chapter {number}", file=sys.stderr, flush=True)
-                asked = kernel_options(options, audit=share, plan=not options.audit)
+                asked = kernel_options(options, audit=share, stamp=options.stamp, plan=not options.audit)
                 notebooks.execute(path, typed[number] | {"output_dir": temporary}, Path(temporary), asked)
-        return report.read_grids(Path(temporary))
+        return read_summaries(Path(temporary))
 
 
 def compare_command(options: argparse.Namespace) -> int:

@@ -1,5 +1,6 @@
 """A small project in a temporary folder: one chapter notebook, its ledger, and the real library."""
 
+import json
 import os
 import shutil
 import signal
@@ -10,6 +11,7 @@ from pathlib import Path
 import nbformat
 import pytest
 
+from lifelong_lib.reproduction import runs
 from lifelong_lib.reproduction.book import build_book
 from lifelong_lib.reproduction.report import accept, compare
 
@@ -105,6 +107,20 @@ def project(tmp_path_factory) -> Path:
     compare(folder, reference)
     build_book(folder, reference)
     return root
+
+
+@pytest.fixture
+def root(tmp_path, monkeypatch):
+    """An empty repository."""
+    monkeypatch.setattr(runs, "ROOT", tmp_path)
+    monkeypatch.delenv("LIFELONG_OPTIONS", raising=False)
+    return tmp_path
+
+
+@pytest.fixture
+def options(monkeypatch):
+    """Sets the options that a command would pass to run_grid."""
+    return lambda **given: monkeypatch.setenv("LIFELONG_OPTIONS", json.dumps(given))
 
 
 def trial(env, seed, actions):

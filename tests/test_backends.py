@@ -13,12 +13,12 @@ import time
 import pytest
 from joblib.externals.loky import process_executor
 
-from lifelong_lib.reproduction.backends import completed
-from lifelong_lib.reproduction.fingerprint import ReproductionError
+from lifelong_lib.reproduction.backends import Call, completed
+from lifelong_lib.reproduction.files import ReproductionError
 
 
 def run(experiment, configs, workers=1, backend="loky", address=""):
-    calls = {key: (f"run {key}", config, key) for key, config in enumerate(configs)}
+    calls = {key: Call(f"run {key}", config, key, {}) for key, config in enumerate(configs)}
     return {key: values for key, values, _ in completed(experiment, calls, backend, workers, address)}
 
 

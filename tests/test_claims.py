@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from lifelong_lib.reproduction import claims
-from lifelong_lib.reproduction.report import read_json
-from lifelong_lib.reproduction.runs import PROFILES, ReproductionError
+from lifelong_lib.reproduction.files import ReproductionError, read_json
+from lifelong_lib.reproduction.runs import PROFILES
 
 ENTRY = """
 [[claim]]

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from lifelong_lib.reproduction import figures, tables
-from lifelong_lib.reproduction.runs import ReproductionError
+from lifelong_lib.reproduction.files import ReproductionError
 
 matplotlib.use("Agg")
 

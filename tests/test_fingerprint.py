@@ -9,7 +9,8 @@ import types
 import pytest
 
 from lifelong_lib.reproduction import fingerprint as module
-from lifelong_lib.reproduction.fingerprint import ReproductionError, changes, fingerprint
+from lifelong_lib.reproduction.files import ReproductionError
+from lifelong_lib.reproduction.fingerprint import changes, fingerprint
 
 CELL = '''
 import numpy as np

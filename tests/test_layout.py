@@ -23,8 +23,10 @@ LINES = 5700
 
 # May import from: None = anything of the library. A module that is not listed falls under its package.
 ALLOWED = {
-    "reproduction.fingerprint": (),
-    "reproduction.backends": ("reproduction.fingerprint",),
+    "reproduction.files": (),
+    "reproduction.labels": ("reproduction.files",),
+    "reproduction.fingerprint": ("reproduction.files",),
+    "reproduction.backends": ("reproduction.files",),
     "reproduction.statistics": (),
     "reproduction": ("reproduction",),
     "environments": ("environments",),

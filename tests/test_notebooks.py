@@ -6,6 +6,7 @@ import pytest
 from conftest import BROKEN, REPOSITORY, SET_UP, TITLE, write_notebook
 from jupyter_client.kernelspec import NoSuchKernel
 
+from lifelong_lib.reproduction.files import ReproductionError
 from lifelong_lib.reproduction.notebooks import (
     execute,
     find_notebooks,
@@ -15,7 +16,6 @@ from lifelong_lib.reproduction.notebooks import (
     read_parameters,
     typed_parameters,
 )
-from lifelong_lib.reproduction.runs import ReproductionError
 
 
 @pytest.fixture

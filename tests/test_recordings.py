@@ -11,8 +11,9 @@ from matplotlib.image import imread
 from rerun.chunk import RrdReader
 
 from lifelong_lib.reproduction import recordings
+from lifelong_lib.reproduction.files import ReproductionError
 from lifelong_lib.reproduction.recordings import Scene, equally_long, save_recording, verify_recording
-from lifelong_lib.reproduction.runs import Chapter, ReproductionError
+from lifelong_lib.reproduction.runs import Chapter
 
 STEP = 0.05  # [s]
 UNITS = {"pole angle": "rad", "cart position": "m"}

@@ -12,8 +12,9 @@ from conftest import command
 from docutils import nodes
 
 from lifelong_lib.reproduction import book
-from lifelong_lib.reproduction.report import accept, compare, comparison_lines, order, read_json, write_json
-from lifelong_lib.reproduction.runs import ReproductionError
+from lifelong_lib.reproduction.files import ReproductionError, read_json, write_json
+from lifelong_lib.reproduction.labels import order
+from lifelong_lib.reproduction.report import accept, compare, comparison_lines
 
 
 def results(folder: Path, value: str = "1.0", verdict: str = "holds", pixel: float = 0.0) -> Path:

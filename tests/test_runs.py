@@ -1,35 +1,26 @@
 """Runs: the same bytes wherever they are computed, nothing lost, nothing stale or damaged used in silence."""
 
-import errno
 import inspect
-import io
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
+import experiments
 import numpy as np
 import pytest
+from experiments import CONFIGS, chapter, experiment, files, grid_store, report, run_and_read, stored
 
-from lifelong_lib.reproduction import runs
-from lifelong_lib.reproduction.runs import Chapter, NotStored, ReproductionError, run_card, run_grid
+from lifelong_lib.reproduction import machine, runs
+from lifelong_lib.reproduction.files import ReproductionError, write_atomically
+from lifelong_lib.reproduction.runs import Chapter, NotStored, run_card, run_grid
 
 HERE = Path(__file__).parents[1]
-CONFIGS = [{"domain": "cart-pole", "tasks": 3}, {"tasks": 2, "domain": "bicycle"}]
-SCALE = 2.0
-
-
-def helper(x):
-    return SCALE * x
-
-
-def experiment(config, seed):
-    draws = np.random.default_rng(seed).normal(size=(config["tasks"], 4))
-    gram = (draws @ draws.T).T
-    return {"curve": helper(draws), "gram": gram, "n": config["tasks"], "names": ["a", "bc"], "gap": np.nan}
 
 
 def slow(config, seed):
@@ -50,35 +41,6 @@ def fail_at_two(config, seed):
 
 
 @pytest.fixture
-def root(tmp_path, monkeypatch):
-    monkeypatch.setattr(runs, "ROOT", tmp_path)
-    monkeypatch.delenv("LIFELONG_OPTIONS", raising=False)
-    return tmp_path
-
-
-@pytest.fixture
-def options(monkeypatch):
-    return lambda **given: monkeypatch.setenv("LIFELONG_OPTIONS", json.dumps(given))
-
-
-def chapter(profile="quick", seeds=2, workers=1):
-    return Chapter(4, profile, seeds, workers)
-
-
-def files(folder, pattern="*.npz"):
-    return {path.name: path.read_bytes() for path in Path(folder).rglob(pattern)}
-
-
-def run_and_read(root, **more):
-    run_grid(chapter(**more), "grid", experiment, CONFIGS)
-    return files(root / "data")
-
-
-def report(root, profile="quick", name="grid"):
-    return json.loads((root / "figures" / "latest" / profile / "runs" / f"ch04-{name}.json").read_text())
-
-
-@pytest.fixture
 def dask():
     """The address of a cluster of two single-threaded worker processes."""
     from distributed import LocalCluster  # slow to import
@@ -92,42 +54,36 @@ def dask():
 def test_worker_processes_give_the_bytes_of_a_serial_run(root, monkeypatch, options, backend, request):
     expected = run_and_read(root)
     configs = ("domain=bicycle,tasks=2", "domain=cart-pole,tasks=3")
-    assert sorted(expected) == [f"{config}-s{seed}.npz" for config in configs for seed in (0, 1)]
+    assert sorted(expected) == [f"{config}-s{seed}" for config in configs for seed in (0, 1)]
     monkeypatch.setattr(runs, "ROOT", root / backend)
     options(backend=backend, address=request.getfixturevalue("dask") if backend == "dask" else "")
     results = run_grid(chapter(workers=2), "grid", experiment, CONFIGS)
-    assert files(root / backend / "data") == expected
+    assert stored(root / backend) == expected
     order = [("cart-pole", 0), ("cart-pole", 1), ("bicycle", 0), ("bicycle", 1)]
     assert [(run.config["domain"], run.seed) for run in results] == order
 
 
-def test_draws_depend_on_chapter_name_config_and_seed_only(root):
-    first = run_grid(chapter(), "grid", experiment, CONFIGS, seeds=[5])
-    turned = dict(reversed(CONFIGS[0].items()))
-    again = run_grid(Chapter(4, "smoke", 1, 1), "grid", experiment, [turned], seeds=[5, 3])
-    np.testing.assert_array_equal(first[0].values["curve"], again[1].values["curve"])
-    others = [again[0], run_grid(chapter(), "other", experiment, CONFIGS, seeds=[5])[0],
-              run_grid(Chapter(3, "quick", 1, 1), "grid", experiment, CONFIGS, seeds=[5])[0]]  # fmt: skip
-    config = CONFIGS[0] | {"step": 0.1}
-    others.append(run_grid(chapter(), "grid", experiment, [config], seeds=[5])[0])
-    for other in others:
-        assert not np.array_equal(first[0].values["curve"], other.values["curve"])
-
-
 def test_resume_computes_only_what_is_missing(root):
     expected = run_and_read(root)
-    for path in root.rglob("*bicycle*s1.*"):
-        path.unlink()
+    forget(root, "domain=bicycle,tasks=2-s1")
     results = run_grid(chapter(), "grid", experiment, CONFIGS)
-    assert files(root / "data") == expected and (report(root)["computed"], report(root)["read"]) == (1, 3)
+    assert stored(root) == expected and report(root)["computed"] == 1
     assert results[0].values["gram"].flags.c_contiguous  # wherever and however it was made
     assert results[0].values["n"].shape == () and results[0].values["names"].tolist() == ["a", "bc"]
+
+
+def forget(root, key):
+    """Take one run out of the store."""
+    runs_left = grid_store(root).read()
+    del runs_left[key]
+    grid_store(root).pack(runs_left)
 
 
 SCRIPT = f"""
 import sys, time
 import numpy as np
-from lifelong_lib.reproduction.runs import Chapter, ReproductionError, run_grid
+from lifelong_lib.reproduction.files import ReproductionError
+from lifelong_lib.reproduction.runs import Chapter, run_grid
 {inspect.getsource(slow)}
 if __name__ == "__main__":
     try:
@@ -149,12 +105,20 @@ def stop_in_the_middle(root, more, send):
         time.sleep(0.02)
     send(process.pid)
     _, errors = process.communicate(timeout=20)
-    return process.returncode, errors, files(root / "data", "*.json")
+    return process.returncode, errors, seconds_of_runs(root)
+
+
+def seconds_of_runs(root):
+    """Wall time of every stored run: one that was computed anew would have another."""
+    return {key: run.seconds for key, run in grid_store(root, "slow").read(keep=True).items()}
 
 
 def test_killed_interrupted_resumed_gives_the_bytes_of_an_uninterrupted_run(root, monkeypatch):
-    code, _, first = stop_in_the_middle(root, 2, lambda pid: os.kill(pid, signal.SIGKILL))
-    assert code == -signal.SIGKILL and 2 <= len(first) < 7
+    first = {}
+    for _ in range(3):
+        code, _, found = stop_in_the_middle(root, 1, lambda pid: os.kill(pid, signal.SIGKILL))
+        assert code == -signal.SIGKILL and first.items() < found.items() and len(found) < 8
+        first = found
     code, errors, second = stop_in_the_middle(root, 1, lambda pid: os.killpg(pid, signal.SIGINT))
     last = errors.replace("\r", "\n").strip().splitlines()[-1]
     assert code == 1 and "Traceback" not in errors and len(first) < len(second) < 10
@@ -164,77 +128,11 @@ def test_killed_interrupted_resumed_gives_the_bytes_of_an_uninterrupted_run(root
     monkeypatch.setattr(time, "sleep", lambda seconds: None)
     run_grid(chapter(seeds=10), "slow", slow, [{"pause": 0.3}])
     assert report(root, name="slow")["computed"] == 10 - len(second) and not list(root.rglob("*.part"))
-    third = files(root / "data", "*.json")
-    assert first.items() <= second.items() <= third.items()  # a record computed anew would hold another wall time
+    third = seconds_of_runs(root)
+    assert first.items() <= second.items() <= third.items()
     monkeypatch.setattr(runs, "ROOT", root / "whole")
     run_grid(chapter(seeds=10), "slow", slow, [{"pause": 0.3}])
-    assert files(root / "data") == files(root / "whole" / "data") and len(third) == 10
-
-
-@pytest.mark.parametrize("suffix", [".npz", ".json"])
-@pytest.mark.parametrize("damage", [lambda old: old[:50], lambda old: b"", lambda old: old[:-1] + bytes([old[-1] ^ 1])])
-def test_damaged_files_are_named_set_aside_and_recomputed(root, capsys, suffix, damage):
-    expected = run_and_read(root)
-    victim = next(root.rglob(f"*cart-pole*s1{suffix}"))
-    victim.write_bytes(damage(victim.read_bytes()))
-    assert run_and_read(root) == expected and report(root)["computed"] == 1
-    assert "domain=cart-pole,tasks=3-s1.npz is damaged" in capsys.readouterr().err
-    assert victim.with_name(victim.name + ".damaged").exists()
-
-
-def test_a_file_of_another_run_and_a_record_without_arrays_are_not_read(root):
-    expected = run_and_read(root)
-    for suffix in (".npz", ".json"):
-        one, other = (next(root.rglob(f"*cart-pole*s{seed}{suffix}")) for seed in (0, 1))
-        other.write_bytes(one.read_bytes())
-    next(root.rglob("*bicycle*s1.npz")).unlink()
-    assert run_and_read(root) == expected and report(root)["computed"] == 2
-
-
-def test_half_a_pair_counts_as_missing(root):
-    expected = run_and_read(root)
-    next(root.rglob("*s1.json")).unlink()  # killed between the two files
-    assert run_and_read(root) == expected and report(root)["computed"] == 1 and not files(root, "*.damaged")
-
-
-def test_a_full_disk_between_the_two_files_leaves_no_false_pair(root, monkeypatch, capsys):
-    run_and_read(root)
-    monkeypatch.setitem(globals(), "SCALE", 4.0)
-    with monkeypatch.context() as patch:
-        patch.setattr(runs, "write_json", lambda path, content: runs.require(False, "no space for the record"))
-        with pytest.raises(ReproductionError, match="no space"):
-            run_and_read(root)
-    run_and_read(root)
-    assert report(root)["computed"] == 4 and "damaged" not in capsys.readouterr().err
-
-
-def test_npz_bytes_depend_on_the_values_only():
-    values = {name: np.arange(float(i)) for i, name in enumerate("hgfedcba")}
-    data = runs._npz(values)
-    assert data == runs._npz(dict(reversed(values.items()))) != runs._npz(values | {"a": np.arange(7.0) + 1})
-    with np.load(io.BytesIO(data), allow_pickle=False) as stored:
-        assert stored.files == sorted(values) and stored["c"].tolist() == [0, 1, 2, 3, 4]
-
-
-def test_record_says_what_made_the_run(root):
-    run_and_read(root)
-    record = json.loads(next(root.rglob("*cart-pole*s1.json")).read_text())
-    assert (record["config"], record["seed"], record["chapter"]) == (CONFIGS[0], 1, 4)
-    assert record["versions"]["numpy"] == np.__version__ and record["seconds"] > 0
-    assert record["versions"]["processor"] == runs.processor() != ""
-    assert set(record["fingerprint"]) >= {"function experiment", "function helper", "global SCALE"}
-
-
-@pytest.mark.parametrize("cause, word", [(errno.ENOSPC, "disk is full"), (errno.EACCES, "Permission denied")])
-def test_full_disk_is_one_line_and_leaves_no_part_behind(root, monkeypatch, cause, word):
-    def refuse(part, path):
-        assert Path(part).exists()
-        raise OSError(cause, os.strerror(cause))
-
-    monkeypatch.setattr(runs.os, "replace", refuse)
-    with pytest.raises(ReproductionError, match=word) as caught:
-        run_and_read(root)
-    assert "\n" not in str(caught.value) and not files(root, "*.part") and not files(root)
+    assert stored(root, "slow") == stored(root / "whole", "slow") and len(third) == 10
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -243,37 +141,37 @@ def test_a_failing_run_is_named_and_what_was_stored_stays(root, workers):
     message = "^experiment 'steps' failed at {.step.: 2}, seed 0: ZeroDivisionError: no tasks left$"
     with pytest.raises(ReproductionError, match=message):
         run_grid(chapter(workers=workers), "steps", fail_at_two, [{"step": 2}, {"step": 1}, {"step": 3}], seeds=1)
-    assert "step=1-s0.npz" in files(root / "data") and "step=2-s0.npz" not in files(root / "data")
+    assert "step=1-s0" in stored(root, "steps") and "step=2-s0" not in stored(root, "steps")
 
 
 @pytest.mark.parametrize("profile", ["smoke", "quick"])
 def test_stale_runs_are_recomputed(root, monkeypatch, profile):
     run_and_read(root, profile=profile)
-    monkeypatch.setitem(globals(), "SCALE", 4.0)
+    monkeypatch.setattr(experiments, "SCALE", 4.0)
     doubled = run_grid(chapter(profile), "grid", experiment, CONFIGS)
     assert report(root, profile)["computed"] == 4 and report(root, profile)["causes"] == {"global SCALE changed": 4}
-    monkeypatch.setitem(globals(), "SCALE", 2.0)
+    monkeypatch.setattr(experiments, "SCALE", 2.0)
     single = run_grid(chapter(profile), "grid", experiment, CONFIGS)
     np.testing.assert_array_equal(doubled[0].values["curve"], 2 * single[0].values["curve"])
 
 
 def test_paper_keeps_and_counts_stale_runs_unless_fresh(root, monkeypatch, options, capsys):
-    stored = run_and_read(root, profile="paper")
-    monkeypatch.setitem(globals(), "SCALE", 4.0)
+    before = run_and_read(root, profile="paper")
+    monkeypatch.setattr(experiments, "SCALE", 4.0)
     kept = chapter("paper")
     run_grid(kept, "grid", experiment, CONFIGS)
-    assert files(root / "data") == stored and report(root, "paper")["stale"] == 4
+    assert stored(root, profile="paper") == before and report(root, "paper")["stale"] == 4
     assert "4 of 4 runs of 'grid'" in capsys.readouterr().err and "stale:    4 of 4 runs" in run_card(kept)
     options(fresh=True)
-    assert run_and_read(root, profile="paper") != stored and report(root, "paper")["stale"] == 0
+    assert run_and_read(root, profile="paper") != before and report(root, "paper")["stale"] == 0
 
 
 def test_plan_computes_nothing_and_predicts(root, options):
     log, said = root / "log", []
     configs = [{"log": str(log), "n": n} for n in range(4)]
     run_grid(chapter(), "count", count_calls, configs[:1])
-    for path in (root / "data").rglob("*.json"):
-        path.write_text(json.dumps(json.loads(path.read_text()) | {"seconds": 3.0}))
+    store = grid_store(root, "count")
+    store.pack({key: replace(run, seconds=3.0) for key, run in store.read().items()})
     options(plan=True)
     with pytest.raises(NotStored, match="6 of 8"):
         run_grid(chapter(workers=2), "count", count_calls, configs, makes=["F4.2", "C4.2"])
@@ -281,7 +179,7 @@ def test_plan_computes_nothing_and_predicts(root, options):
     assert len(run_grid(chapter(), "count", count_calls, configs[:1])) == 2
     said.append(report(root, name="count"))
     for costs in ({}, {"ch04/never": 0.5}):
-        runs.write_atomically(root / "figures" / "reference" / "quick" / "unit_costs.json", json.dumps(costs))
+        write_atomically(root / "figures" / "reference" / "quick" / "unit_costs.json", json.dumps(costs))
         with pytest.raises(NotStored):
             run_grid(chapter(), "never", count_calls, configs)
         said.append(report(root, name="never"))
@@ -293,70 +191,19 @@ def test_plan_computes_nothing_and_predicts(root, options):
 
 def test_plan_names_causes_and_leaves_damaged_files_alone(root, options, monkeypatch):
     run_and_read(root)
+    store = grid_store(root)
+    for run in store.read().values():  # loose, one of them damaged
+        store.add(run)
+    shutil.rmtree(store.folder)
     victim = next(root.rglob("*.npz"))
     victim.write_bytes(b"")
-    monkeypatch.setitem(globals(), "SCALE", 4.0)
+    monkeypatch.setattr(experiments, "SCALE", 4.0)
     options(plan=True)
     with pytest.raises(NotStored, match="4 of 4"):
         run_and_read(root)
     line = report(root)
     assert (line["stored"], line["stale"], line["missing"], line["causes"]) == (0, 3, 1, {"global SCALE changed": 3})
     assert victim.exists() and not files(root, "*.damaged")
-
-
-def audited(root, options, monkeypatch, number):
-    """Audits two stored grids; before the second the code changes, so that its curves come out differently."""
-    for name in ("grid", "second"):
-        run_grid(chapter(), name, experiment, CONFIGS)
-    stored = files(root / "data")
-    options(audit=number)
-    for name in ("grid", "second"):
-        run_grid(chapter(), name, experiment, CONFIGS)
-        monkeypatch.setitem(globals(), "SCALE", 4.0)
-    assert files(root / "data") == stored
-    return report(root)["audited"], report(root, name="second")["audited"]
-
-
-def test_audit_tells_equal_from_different(root, options, monkeypatch):
-    found = [[(row["same"], row["stale"], row["differs"]) for row in rows]
-             for rows in audited(root, options, monkeypatch, 8)]
-    assert found == [[(True, False, [])] * 4, [(False, True, ["curve"])] * 4]
-    with pytest.raises(NotStored, match="2 of 6"):
-        run_and_read(root, seeds=3)
-
-
-def test_audit_draws_k_runs_of_the_chapter(root, options, monkeypatch):
-    first, second = audited(root, options, monkeypatch, 3)
-    assert len(first) + len(second) == 3
-
-
-@pytest.mark.parametrize("configs", [
-    [], [{"a": [1]}], [{"a": np.nan}], [{"a": 1}, {"a": 1}], [{"a": 1, "b": 2}, {"b": 2, "a": 1}], ["a"], [{"a b": 1}],
-    [{"a": "x"}, {"a": "X"}], [{"a": np.int64(1)}],
-])  # fmt: skip
-def test_bad_configurations_are_refused(root, configs):
-    with pytest.raises(ReproductionError, match="config"):
-        run_grid(chapter(), "grid", experiment, configs)
-
-
-@pytest.mark.parametrize("seeds", [0, -1, 1.5, "3", [], [1, 1], [-1], [True]])
-def test_bad_seeds_names_and_ids_are_refused(root, seeds):
-    with pytest.raises(ReproductionError, match="seeds"):
-        run_grid(chapter(), "grid", experiment, CONFIGS, seeds=seeds)
-    with pytest.raises(ReproductionError, match="grid name"):
-        run_grid(chapter(), "../grid", experiment, CONFIGS)
-    with pytest.raises(ReproductionError, match="makes"):
-        run_grid(chapter(), "grid", experiment, CONFIGS, makes="F4.2")
-
-
-def test_different_configurations_never_share_a_file():
-    values = [1, 1.0, "1", True, "true", "True", None, "null", "", "a b", "a_b", "a,c=1", "1.0", "é", "~", -0.0, 0.0]
-    configs = [{"a": value} for value in [*values, "0.0", "x" * 300, "x" * 301]]
-    configs += [{}, {"a": "run"}, {"a": "a", "c": 1}, {"a": 1, "b": 1}, {"a": "a-s1"}, {"a": "a"}]
-    names = [runs._file_name(config) for config in configs]
-    assert len({f"{name}-s{seed}" for name in names for seed in (0, 1, 11)}) == 3 * len(names)
-    assert all(len(name) <= 120 and name.isascii() and "/" not in name for name in names)
-    assert runs._file_name({"tasks": 40, "domain": "cart-pole"}) == "domain=cart-pole,tasks=40"
 
 
 @pytest.mark.parametrize("given", [
@@ -389,13 +236,13 @@ def test_a_simulator_that_is_not_installed_does_not_stop_other_chapters(root, mo
     def version(package):
         if package in known:
             return known[package]
-        raise runs.metadata.PackageNotFoundError(package)
+        raise machine.metadata.PackageNotFoundError(package)
 
-    monkeypatch.setattr(runs.metadata, "version", version)
+    monkeypatch.setattr(machine.metadata, "version", version)
     card = run_card(chapter())
     assert f"numpy {np.__version__}" in card and "pybullet" not in card
     run_and_read(root)
-    assert set(json.loads(next(root.rglob("*s1.json")).read_text())["versions"]) == {"python", "processor", "numpy"}
+    assert set(grid_store(root).read()["domain=bicycle,tasks=2-s1"].versions) == {"python", "processor", "numpy"}
 
 
 def test_a_notebook_does_not_keep_the_progress_bar(root, monkeypatch):
@@ -411,5 +258,5 @@ def test_a_notebook_does_not_keep_the_progress_bar(root, monkeypatch):
     NotebookClient(book, timeout=60, resources={"metadata": {"path": str(HERE)}}).execute()
     outputs = [output for cell in book.cells for output in cell.outputs]
     assert [output["data"]["text/plain"] for output in outputs] == ["array([1.5, 1.5])"]
-    record = json.loads(next(root.rglob("*s1.json")).read_text())
-    assert set(record["fingerprint"]) == {"function learn", "function half", "global n"}
+    (run, _) = grid_store(root, "learn", "smoke").read().values()
+    assert set(run.made_by) == {"function learn", "function half", "global n"}

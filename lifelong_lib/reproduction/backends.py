@@ -13,20 +13,30 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, wait
+from typing import NamedTuple
 
 import cloudpickle
 import numpy as np
 from joblib.externals.loky import get_reusable_executor
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from lifelong_lib.reproduction.fingerprint import ReproductionError, require
+from lifelong_lib.reproduction.files import ReproductionError, require
+
+
+class Call(NamedTuple):
+    """One run to compute."""
+
+    label: str  # which an error gets
+    config: Mapping
+    entropy: int  # of its SeedSequence
+    inputs: Mapping  # name -> array
 
 
 def completed(experiment: Callable, calls: Mapping, backend: str, workers: int, address: str) -> Iterator[tuple]:
     """(key, values, wall seconds) of every call, in order of completion. Closing it early stops the workers.
 
-    calls: key -> (label for errors, configuration, entropy of the SeedSequence); backend: loky or dask; workers:
-    number of processes of loky, 1 being this one; address: of a running Dask scheduler.
+    calls: key -> Call; backend: loky or dask; workers: number of processes of loky, 1 being this one; address: of a
+    running Dask scheduler.
     """
     blob = cloudpickle.dumps(experiment)  # by value: workers cannot import a notebook
     if not calls or (backend == "loky" and workers == 1):
@@ -42,7 +52,7 @@ def completed(experiment: Callable, calls: Mapping, backend: str, workers: int, 
                 yield running.pop(future), *future.result()
 
 
-def _compute(blob, label, config, entropy) -> tuple[dict, float]:
+def _compute(blob, label, config, entropy, inputs) -> tuple[dict, float]:
     """Values and wall seconds of one run, on one thread. An error gets the label, so that it says which run failed."""
 
     def name_the_run(kind, error, trace):
@@ -54,7 +64,8 @@ def _compute(blob, label, config, entropy) -> tuple[dict, float]:
         if torch := sys.modules.get("torch"):
             torch.set_num_threads(1)
         start = time.perf_counter()
-        values = _arrays(cloudpickle.loads(blob)(dict(config), np.random.SeedSequence(entropy)))
+        own = {name: array.copy() for name, array in inputs.items()}  # a run may change what it is given
+        values = _arrays(cloudpickle.loads(blob)(dict(config), np.random.SeedSequence(entropy), **own))
         seconds = time.perf_counter() - start
         busy = [f"{pool['prefix']} {pool['num_threads']}" for pool in threadpool_info() if pool["num_threads"] > 1]
         require(not busy, f"a run must use one thread, this one used more: {', '.join(busy)}")

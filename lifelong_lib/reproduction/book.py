@@ -19,10 +19,12 @@ from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.util import logging
 
 from lifelong_lib.reproduction.children import last_words, surroundings
-from lifelong_lib.reproduction.fingerprint import SOURCES, require
+from lifelong_lib.reproduction.files import ROOT, read_json, require
+from lifelong_lib.reproduction.fingerprint import SOURCES
+from lifelong_lib.reproduction.grid import read_summaries
+from lifelong_lib.reproduction.labels import VERDICTS, order
 from lifelong_lib.reproduction.notebooks import made_ids, named_in_calls
-from lifelong_lib.reproduction.report import order, read_grids, verdict_counts
-from lifelong_lib.reproduction.runs import ROOT, read_json
+from lifelong_lib.reproduction.report import verdict_counts
 from lifelong_lib.reproduction.tables import Table, readable
 
 CONFIGURATION = """
@@ -97,7 +99,8 @@ def _link(identifier: str, places: dict, inside: str, about: str = "") -> str:
 
 
 def _badge(verdict: str, text: str) -> str:
-    return f'<span class="verdict {verdict.replace(" ", "-")}">{text} {verdict}</span>'
+    meaning = html.escape(VERDICTS[verdict])
+    return f'<span class="verdict {verdict.replace(" ", "-")}" title="{meaning}">{text} {verdict}</span>'
 
 
 def _counts(claims: list[dict]) -> str:
@@ -105,7 +108,7 @@ def _counts(claims: list[dict]) -> str:
 
 
 def _front_page(folder: Path, reference: Path, claims: list[dict], places: dict) -> str:
-    rests = [set(grid["makes"]) for grid in read_grids(folder)]
+    rests = [set(grid.makes) for grid in read_summaries(folder)]
     compared = {row["id"]: row for row in read_json(folder / "comparison.json", {}).get("results", [])}
     parts = ["# Lifelong reinforcement learning on mobile robots, reproduced",
              f"Made at the profile **{folder.name}**. [The claims of the thesis](claims.md): {_counts(claims)}",
@@ -171,7 +174,8 @@ def _provenance_page(folder: Path) -> str:
     made = read_json(folder / "provenance.json", {"chapters": {}})
     runs = [{"chapter": chapter, "experiment": name, **counts}
             for chapter, entry in made["chapters"].items() for name, counts in entry["runs"].items()]
-    return "\n\n".join(["# Where this comes from", "Stale runs were made by another state of the code.",
+    return "\n\n".join(["# Where this comes from", "Stale runs were made by another state of the code. "
+                        "Stamped ones too, but an audit computed some of them again and found no difference.",
                         repr(Table(runs)) if runs else "", f"```json\n{json.dumps(made, indent=1)}\n```"])
 
 

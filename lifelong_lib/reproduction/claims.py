@@ -12,14 +12,13 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from lifelong_lib.reproduction.fingerprint import require
-from lifelong_lib.reproduction.report import order
-from lifelong_lib.reproduction.runs import PROFILES, ROOT, ReproductionError, read_json, write_json
+from lifelong_lib.reproduction.files import ROOT, ReproductionError, read_json, require, write_json
+from lifelong_lib.reproduction.labels import VERDICTS, order
+from lifelong_lib.reproduction.runs import PROFILES
 from lifelong_lib.reproduction.statistics import bootstrap_interval, paired_permutation, standard_error
 
 LEDGER = ROOT / "data" / "thesis" / "claims.toml"
 FEWEST_SAMPLES = 3  # two numbers of one sign happen by chance in every second experiment
-VERDICTS = ("contradicted", "undecided", "holds")  # from weak to strong
 KINDS = ("value", "order", "sign", "shape")
 CLAIM_KEYS = {"id", "chapter", "statement", "source", "kind", "profile", "control", "tolerance_origin", "parts"}
 PART_KEYS = {"at_least", "at_most", "thesis", "tolerance", "measure", "decides"}
@@ -54,7 +53,7 @@ def check_claim(chapter, identity, parts, control=None):
     entry = known[identity]
     judged = _judge_parts(entry, dict.fromkeys(entry["parts"]) | parts)  # in the ledger's order, None where missing
     weakest = min((part for part in judged if part["decides"]),
-                  key=lambda part: (VERDICTS.index(part["verdict"]), part["margin"]))  # fmt: skip
+                  key=lambda part: (_strength(part["verdict"]), part["margin"]))  # fmt: skip
     verdict, remark = weakest["verdict"], ""
     control_verdict, control_parts = _judge_control(entry, control)
     if control_verdict == "holds" and verdict == "holds":
@@ -70,6 +69,11 @@ def check_claim(chapter, identity, parts, control=None):
     rows = [old for old in read_json(path, []) if old["id"] in known.keys() - {identity}]
     write_json(path, sorted([*rows, row], key=lambda row: order(row["id"])))
     return Claim(**row)
+
+
+def _strength(verdict):
+    """A number that is higher for a stronger verdict."""
+    return -list(VERDICTS).index(verdict)
 
 
 def published(identity):
@@ -121,7 +125,7 @@ def _judge_control(entry, control):
     require(control, f"claim {entry['id']} needs its control ({entry['control']}): hand over control={{...}}")
     judged = _judge_parts(entry, control)
     verdicts = [part["verdict"] for part in judged if part["decides"]]
-    return min(verdicts, key=VERDICTS.index, default="undecided"), judged
+    return min(verdicts, key=_strength, default="undecided"), judged
 
 
 def _judge_parts(entry, samples):

@@ -11,10 +11,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.ticker import SymmetricalLogLocator
 
-from lifelong_lib.reproduction.fingerprint import require
-from lifelong_lib.reproduction.runs import write_atomically
+from lifelong_lib.reproduction.files import require, write_atomically
+from lifelong_lib.reproduction.labels import check_identity
 from lifelong_lib.reproduction.statistics import standard_error
-from lifelong_lib.reproduction.tables import check_identity, csv_text
+from lifelong_lib.reproduction.tables import csv_text
 
 plt.switch_backend(plt.get_backend())  # loaded now: loaded inside rc_context, a notebook shows one figure only
 

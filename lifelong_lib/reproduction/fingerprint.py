@@ -1,4 +1,5 @@
-"""What a result depends on: the experiment, the notebook functions and values it reads, the library modules it reaches.
+"""What a result depends on: the experiment, the notebook functions and values it reads, the library modules it reaches,
+the arrays it is handed and the files it reads.
 
 Every part has its own digest, so that a stale result can name its cause. Sources are compared without comments,
 docstrings and layout: a better sentence must not make hours of results stale. What cannot be compared is refused.
@@ -7,26 +8,19 @@ docstrings and layout: a better sentence must not make hours of results stale. W
 import ast
 import dataclasses
 import dis
-import hashlib
 import inspect
 import textwrap
 import types
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib.util import resolve_name
 from pathlib import Path
 
+import numpy as np
+
+from lifelong_lib.reproduction.files import ReproductionError, require, sha256
+
 LIBRARY = "lifelong_lib"
 SOURCES = Path(__file__).resolve().parents[2]  # the folder that holds the library
-
-
-class ReproductionError(ValueError):
-    """A foreseeable mistake or obstacle; its message is one line that names the thing and the mend."""
-
-
-def require(condition, message: str) -> None:
-    """Raise ReproductionError with the message unless the condition is true."""
-    if not condition:
-        raise ReproductionError(message)
 
 
 def fingerprint(experiment: Callable) -> dict[str, str]:
@@ -48,9 +42,22 @@ def changes(stored: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
             for part in differ]  # fmt: skip
 
 
-def sha256(data: bytes | str) -> str:
-    """Hexadecimal sha256 of bytes, or of a text in UTF-8."""
-    return hashlib.sha256(data.encode() if isinstance(data, str) else data).hexdigest()
+def digests(inputs: Mapping[str, np.ndarray]) -> dict[str, str]:
+    """{"input <name>": sha256} of arrays: of their type, shape and numbers."""
+    return {f"input {name}": sha256(f"{array.dtype.str} {array.shape} ".encode() + array.tobytes())
+            for name, array in inputs.items()}  # fmt: skip
+
+
+def checksums(files: Iterable[Path | str], root: Path) -> dict[str, str]:
+    """{"file <name>": sha256} of files; inside `root` the name is the path from there, elsewhere the bare file name."""
+    require(not isinstance(files, (str, Path)), f"files must be a list of paths, not {str(files)!r}")
+    parts = {}
+    for path in (root / file for file in files):
+        require(path.is_file(), f"{path}, which runs depend on, is missing: restore it")
+        part = f"file {path.relative_to(root).as_posix() if path.is_relative_to(root) else path.name}"
+        require(part not in parts, f"two files that runs depend on have one name: {part}")
+        parts[part] = sha256(path.read_bytes())
+    return parts
 
 
 class _Walk:

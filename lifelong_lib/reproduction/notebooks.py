@@ -18,8 +18,8 @@ from jupyter_client.kernelspec import NoSuchKernel
 from papermill.exceptions import PapermillExecutionError
 
 from lifelong_lib.reproduction.children import surroundings
-from lifelong_lib.reproduction.fingerprint import SOURCES, ReproductionError, require
-from lifelong_lib.reproduction.runs import ROOT, read_json
+from lifelong_lib.reproduction.files import ROOT, ReproductionError, read_json, require
+from lifelong_lib.reproduction.fingerprint import SOURCES
 
 COMMON = ("profile", "seeds", "workers", "output_dir")
 ENDINGS = {"F": ("csv", "png", "svg"), "T": ("csv", "md")}

@@ -24,8 +24,8 @@ from rerun.archetypes import RecordingInfo
 from scipy.spatial.transform import Rotation
 
 from lifelong_lib.reproduction.children import last_words, surroundings
-from lifelong_lib.reproduction.fingerprint import require
-from lifelong_lib.reproduction.runs import Chapter, ReproductionError
+from lifelong_lib.reproduction.files import ReproductionError, require
+from lifelong_lib.reproduction.runs import Chapter
 
 _CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])  # of the box of half size 1
 _FACES = np.array([[0, 1, 3, 2], [4, 5, 7, 6], [0, 1, 5, 4], [2, 3, 7, 6], [0, 2, 6, 4], [1, 3, 7, 5]])

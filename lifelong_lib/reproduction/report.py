@@ -6,23 +6,18 @@ Everything here is made from files that a run left in `figures/latest/<profile>`
 import csv
 import math
 import platform
-import re
 import shutil
 from itertools import chain
 from pathlib import Path
 
 from matplotlib.image import imread
 
-from lifelong_lib.reproduction.fingerprint import require, sha256
-from lifelong_lib.reproduction.runs import ROOT, commit, read_json, versions, write_json
+from lifelong_lib.reproduction.files import ROOT, read_json, require, sha256, write_json
+from lifelong_lib.reproduction.grid import Summary, read_summaries
+from lifelong_lib.reproduction.labels import VERDICTS, order
+from lifelong_lib.reproduction.machine import commit, versions
 
-VERDICTS = ("holds", "undecided", "contradicted", "not tested")
 RESULTS = "[FT]*.*"  # the files of figures and tables
-
-
-def read_grids(folder: Path) -> list[dict]:
-    """What run_grid left in `folder` about each grid."""
-    return [read_json(path, {}) for path in sorted((folder / "runs").glob("*.json"))]
 
 
 def write_provenance(folder: Path, profile: str, parameters: dict[int, dict]) -> None:
@@ -30,19 +25,24 @@ def write_provenance(folder: Path, profile: str, parameters: dict[int, dict]) ->
 
     parameters: the full parameter values of the chapters that were just run; other chapters keep their entry.
     """
-    grids = read_grids(folder)
+    grids = read_summaries(folder)
     chapters = read_json(folder / "provenance.json", {}).get("chapters", {})
     for number, values in parameters.items():
-        counts = {grid["name"]: {key: grid[key] for key in ("wanted", "computed", "read", "stale")}
-                  for grid in grids if grid["chapter"] == number}
+        counts = {grid.name: _counts(grid) for grid in grids if grid.chapter == number}
         chapters[f"ch{number:02d}"] = {"parameters": values, "runs": counts}
     write_json(folder / "provenance.json", {
         "profile": profile, "commit": commit(), "lock": sha256((ROOT / "environment.txt").read_bytes()),
         "chapters": chapters, "versions": versions("matplotlib", "rerun-sdk", "joblib", "papermill"),
         "machine": f"{platform.system()} {platform.machine()}",
     })
-    costs = {f"ch{grid['chapter']:02d}/{grid['name']}": grid["seconds_per_run"] for grid in grids}
+    costs = {f"ch{grid.chapter:02d}/{grid.name}": grid.seconds_per_run for grid in grids}
     write_json(folder / "unit_costs.json", costs)
+
+
+def _counts(grid: Summary) -> dict[str, int]:
+    """How the runs of a grid came about; those that were computed are neither stale nor stamped."""
+    counts = {"wanted": grid.wanted, "computed": grid.computed, "read": grid.wanted - grid.computed}
+    return counts | {"stale": grid.stale, "stamped": grid.stamped}
 
 
 def compare(latest: Path, reference: Path) -> dict:
@@ -128,8 +128,3 @@ def accept(latest: Path, reference: Path) -> int:
     costs = read_json(reference / "unit_costs.json", {}) | read_json(latest / "unit_costs.json", {})
     write_json(reference / "unit_costs.json", costs)
     return len(made)
-
-
-def order(identifier: str) -> list:
-    """["F", 4, ".", 9] for F4.9, which comes before F4.10; the second entry is the chapter."""
-    return [int(part) if part.isdigit() else part for part in re.findall(r"\d+|\D+", identifier)]

@@ -4,12 +4,11 @@ import csv
 import html
 import io
 import math
-import re
 from dataclasses import dataclass
 from numbers import Integral, Real
 
-from lifelong_lib.reproduction.fingerprint import require
-from lifelong_lib.reproduction.runs import write_atomically
+from lifelong_lib.reproduction.files import require, write_atomically
+from lifelong_lib.reproduction.labels import check_identity
 
 
 @dataclass(frozen=True)
@@ -68,9 +67,3 @@ def csv_text(identity, rows):
     writer.writeheader()
     writer.writerows(rows)
     return text.getvalue()
-
-
-def check_identity(chapter, identity, letter):
-    """Raise ReproductionError unless `identity` is a name such as F4.2 that belongs to `chapter`."""
-    message = f"'{identity}' is no id of this chapter: use {letter}{chapter.number}.1 and so on"
-    require(re.fullmatch(rf"{letter}{chapter.number}\.\d+", identity), message)

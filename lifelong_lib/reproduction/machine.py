@@ -1,0 +1,38 @@
+"""What computes here: the commit of the code, the versions of what learning runs use, and the processor."""
+
+import contextlib
+import platform
+import re
+import subprocess
+from importlib import metadata
+from pathlib import Path
+
+from lifelong_lib.reproduction.children import surroundings
+from lifelong_lib.reproduction.files import ROOT
+
+PACKAGES = ("numpy", "scipy", "scikit-learn", "torch", "gymnasium", "pybullet", "libsumo")
+
+
+def commit() -> str:
+    """The commit that the repository is at, and whether files differ from it."""
+    describe = ["git", "-C", str(ROOT), "describe", "--always", "--exclude=*", "--abbrev=40", "--dirty= with changes"]
+    try:
+        return subprocess.run(describe, env=surroundings(), capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown (no git history here)"
+
+
+def versions(*more: str) -> dict[str, str]:
+    """Of Python, the processor, what learning runs compute with, and more packages."""
+    found = {"python": platform.python_version(), "processor": processor()}
+    for package in PACKAGES + more:
+        with contextlib.suppress(metadata.PackageNotFoundError):  # of a simulator that another chapter needs
+            found[package] = metadata.version(package)
+    return found
+
+
+def processor() -> str:
+    """Vendor, family and model: linear algebra rounds differently on different ones. "GenuineIntel 6 143", "arm64"."""
+    linux = Path("/proc/cpuinfo")
+    entries = re.findall(r"(?m)^(vendor_id|cpu family|model)\s*: (.+)", linux.read_text() if linux.exists() else "")
+    return " ".join(dict(entries).values()) or platform.processor() or platform.machine()
