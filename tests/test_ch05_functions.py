@@ -24,7 +24,7 @@ def rule(*cars, margin=0.0, learned="both", shift=0.0):
     env = SimpleNamespace(cars=lambda: (own, others))
     space = load(5, "gap_rule", LENGTH=8.0, WIDTH=2.0, ROW=4.0, GO=4, ACCELERATION=2.0,
                  LANES={"near": [1], "both": [1, -1]})
-    return space.gap_rule(env, margin, learned, shift)(None)
+    return space.gap_rule(env, margin, learned, shift)(None, None)
 
 
 @pytest.mark.parametrize("x, action", [
@@ -118,17 +118,18 @@ def fine_tuning(start=0.6, end=0.9, alone=0.8):
     entries = [({"source": source, "target": target}, trial(0.3, 0.7)) for source, target in PAIRS]
     entries[0] = (entries[0][0], trial(start, end))
     single = runs(*(({"task": task}, {"curve": [np.array([[0, 0, 0]] * 3 + [[alone, 0, 0]])] * 3}) for task in NAMES))
-    space = load(5, "jump", "benefit", "last_quarter", "transfer_parts", names=NAMES, LINES=LINES, single=single,
+    space = load(5, "jump", "beyond_alone", "last_quarter", "transfer_parts", names=NAMES, LINES=LINES, single=single,
                  chance=np.array([0.1, 0.2, 0.1, 0.1, 0.4]), at_once={"challenge": 0.5, "left": 0.1, "left2": 0.4})
     return space, runs(*entries)
 
 
-def test_jump_and_benefit_by_hand():
+def test_jump_and_lead_over_learning_alone_by_hand():
     space, found = fine_tuning()
     assert space.jump(found, "left", "challenge") == pytest.approx([0.2] * 3)  # 0.6 less an untrained network's 0.4
     assert space.jump(found, "challenge", "left") == pytest.approx([0.1] * 3)
-    assert space.benefit(found, "left", "challenge") == pytest.approx([0.1] * 3)  # 0.9 less 0.8
-    assert space.benefit(found, "challenge", "left") == pytest.approx([-0.1] * 3)
+    benefit = [space.beyond_alone(found, *pair, space.last_quarter) for pair in PAIRS[:2]]
+    assert benefit[0] == pytest.approx([0.1] * 3)  # 0.9 less 0.8
+    assert benefit[1] == pytest.approx([-0.1] * 3)
 
 
 @pytest.mark.parametrize("start, end, expected", [
@@ -156,8 +157,8 @@ def test_networks_are_not_mixed():
 
 def test_shuffled_weights_stay_in_their_layer():
     given = np.array([1.0, 2, 3, 4, 10, 20, 100, 200, 300])
-    network = SimpleNamespace(parameters=lambda: [SimpleNamespace(numel=lambda n=n: n) for n in (4, 2, 3)],
-                              get_weights=given.copy)
+    parts = [SimpleNamespace(numel=lambda n=n: n) for n in (4, 2, 3)]
+    network = SimpleNamespace(parts=[parts[:2], parts[2:]], get_weights=given.copy)
     network.set_weights = lambda weights: setattr(network, "weights", weights)
     load(5, "shuffle").shuffle(network, np.random.default_rng(1))
     layers = np.split(network.weights, [4, 6])
@@ -220,33 +221,43 @@ def test_time_to_learn_is_the_first_point_above_ninety_percent_or_the_whole_budg
     assert load(5, "time_to_learn").time_to_learn(scores).tolist() == [2, 0, 3]
 
 
-def recorded(pretrained, scratch):
-    """Scores (3 networks, 11 points, recordings, outcomes) by start, from a (training, test) curve a network."""
+def recorded(pretrained, scratch, noise):
+    """Scores (networks, 11 points, recordings, outcomes) by start, from a (training, test) curve a network."""
     def scores(curves):
         return np.stack([np.stack(curve, axis=-1)[..., None] * [1, 0, 0] for curve in curves])
-    starts = {"simulation": scores(pretrained), "scratch": scores(scratch)}
-    return load(5, "recorded_parts", "time_to_learn", "last_quarter", of_all=lambda key, start: starts[start],
-                recorded_points=10)
+    starts = {"simulation": scores(pretrained), "scratch": scores(scratch), "noise": scores(noise)}
+    return load(5, "recorded_parts", "time_to_learn", "last_quarter", of_all=lambda key, start: starts[start])
+
+
+def step(at, level):
+    return np.where(np.arange(11) >= at, level, 0.2)
 
 
 def test_parts_of_learning_from_a_recording_by_hand():
-    def step(at, level):
-        return np.where(np.arange(11) >= at, level, 0.2)
-    scratch = [(step(at, 0.95), step(2, 0.6)) for at in (4, 5, 9)]  # 6 points on average
-    space = recorded([(step(at, 0.95), step(at, 0.8)) for at in (1, 3, 6)], scratch)
+    scratch = [(step(at, 0.95), step(3, 0.6)) for at in (4, 5, 9, 4, 5, 9)]  # 6 points on average; twice as many
+    noise = [(step(1, 0.95), step(1, 0.7))] * 3
+    space = recorded([(step(at, 0.95), step(at, 0.8)) for at in (1, 3, 6)], scratch, noise)
     parts = {label: pytest.approx(values.tolist()) for label, values in space.recorded_parts("simulation").items()}
     assert parts == {
         "iterations to 90 % on the training recording, pre-trained over from scratch": [1 / 6, 3 / 6, 1],
         "test recording: success of the pre-trained network at the end": [0.8] * 3,
-        # Points 1 and 2 of ten: 0.8 0.8, 0.2 0.2 and 0.2 0.2, less 0.2 and 0.6 from scratch.
-        "test recording, first 5,000 iterations: pre-trained minus from scratch": [0.4, -0.2, -0.2],
-        "training recording: success of the direct copy": [0.2] * 3}
-    own = space.recorded_parts("scratch")
-    assert own["iterations to 90 % on the training recording, pre-trained over from scratch"].mean() == 1
+        "training recording: success of the direct copy": [0.2] * 3,
+        # Points 1 to 10: 0.8 ten, eight and five times, else 0.2; from scratch 0.6 eight times, else 0.2; noise 0.7.
+        "test recording, mean over the curve: pre-trained minus from scratch": [0.8 - 0.52, 0.68 - 0.52, 0.5 - 0.52],
+        "test recording, best of the curve: pre-trained minus from scratch": [0.2] * 3,
+        "test recording, mean over the curve: pre-trained minus the control": [0.1, 0.68 - 0.7, 0.5 - 0.7],
+        "test recording, best of the curve: pre-trained minus the control": [0.1] * 3}
+    assert space.recorded_parts("noise")["test recording, mean over the curve: pre-trained minus the control"].any() == 0
+
+
+def test_what_was_known_before_anything_was_seen_of_the_recording_is_no_lead():
+    flat = [(np.full(11, 0.5), np.full(11, 0.5))] * 3
+    early = [(np.full(11, 0.5), np.where(np.arange(11) == 0, 0.4, 0.5))] * 3
+    lead = recorded(early, flat, flat).recorded_parts("simulation")
+    assert lead["test recording, mean over the curve: pre-trained minus from scratch"].tolist() == [0] * 3
 
 
 def test_who_knows_from_the_start_needs_no_time_and_nobody_divides_by_none():
     known = [(np.full(11, 0.95), np.full(11, 0.8))] * 3
-    space = recorded(known, known)
-    (ratio, *_) = space.recorded_parts("simulation").values()
+    (ratio, *_) = recorded(known, known, known).recorded_parts("simulation").values()
     assert ratio.tolist() == [0] * 3
