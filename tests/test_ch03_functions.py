@@ -1,6 +1,5 @@
 """Chapter 3: the functions that decide C3.1 to C3.9, on curves and robots made by hand."""
 
-import json
 from types import SimpleNamespace
 
 import numpy as np
@@ -246,17 +245,17 @@ def test_a_curve_is_the_first_iterations_and_then_the_methods_own():
         policies = start + np.arange(iterations + 1.0)[:, None]
         return policies, policies[:, 0]
 
-    def starting_policies(config, policies, returns, seed):
+    def starting_policies(config, policies, returns, seed, others, gammas):
         assert policies.tolist() == [[1], [3], [4]]  # the sources, and the new robot: their mean 2, and two iterations
         return {"PG-ELLA": policies[-1] + 100, "mean start": policies[-1]}
 
     space = load(3, "transfer_trial", build=lambda config: Robot(), returns_of=lambda *given: None,
                  learner_of=lambda config: SimpleNamespace(learn=learn), starting_policies=starting_policies)
-    config = {"sources": "[[1], [3]]", "early": 2, "iterations": 4, "noise": 0.0}
-    found = space.transfer_trial(config, np.random.SeedSequence(0))
+    config, sources = {"early": 2, "iterations": 4, "noise": 0.0}, np.array([[1.0], [3.0]])
+    found = space.transfer_trial(config, np.random.SeedSequence(0), sources, None, None)
     assert found["mean start"].tolist() == [2, 3, 4, 5, 6]  # entry 2 = early is the start of what follows
     assert found["PG-ELLA"].tolist() == [2, 3, 104, 105, 106]
-    assert found["policies PG-ELLA"].tolist() == [[104], [106]]
+    assert found["start PG-ELLA"].tolist() == [104] and found["last PG-ELLA"].tolist() == [106]
     assert (found["good PG-ELLA"], found["good mean start"]) == (True, False)
 
 
@@ -268,8 +267,8 @@ def test_each_start_differs_in_one_thing_only():
         return len(asked)
 
     space = load(3, "starting_policies", reconstruct=reconstruct, curvature=lambda *given: np.array([[5.0]]))
-    config = {"others": "[[8], [9]]", "gammas": "[[[2.0]], [[3.0]]]", "perturbation": 0.1}
-    found = space.starting_policies(config, np.array([[1.0], [2.0], [7.0]]), None, 0)
+    others, gammas = np.array([[8.0], [9.0]]), np.array([[[2.0]], [[3.0]]])
+    found = space.starting_policies({"perturbation": 0.1}, np.array([[1.0], [2.0], [7.0]]), None, 0, others, gammas)
     own, ones = [[1], [2], [7]], [[[1]]] * 3
     assert found["mean start"] == [7]
     assert asked[found["PG-ELLA"] - 1] == (own, ones, {})
@@ -302,13 +301,13 @@ def test_the_new_robot_is_not_among_its_sources():
     fleet = [{"robot": i} for i in range(3)]
     right = runs(*((robot, {"policies": [np.array([[0.0], [1.0 + robot["robot"]]])]}) for robot in fleet))
     other = runs(*((robot, {"policies": [np.array([[0.0], [-1.0 - robot["robot"]]])]}) for robot in fleet))
-    space = load(3, "new_robot", "learned", "as_text", "nothing_right", other_task=other, shared={}, components=4,
+    space = load(3, "new_robot", "learned", "nothing_right", other_task=other, shared={}, components=4,
                  kinds={"camera": {}}, sparsity=0.1)
-    config = space.new_robot("camera", fleet, 1, right, 1.0)
+    config, known = space.new_robot("camera", fleet, 1, right, 1.0)
     assert config["robot"] == 1
-    assert json.loads(config["sources"]) == [[1], [3]] and json.loads(config["others"]) == [[-1], [-3]]  # last policies
-    wrong = space.nothing_right(config)
-    assert json.loads(wrong["sources"]) == [[-1], [-3]] and json.loads(wrong["others"]) == []
+    assert known["sources"].tolist() == [[1], [3]] and known["others"].tolist() == [[-1], [-3]]  # last policies
+    wrong = space.nothing_right(known)
+    assert wrong["sources"].tolist() == [[-1], [-3]] and not len(wrong["others"])
 
 
 def test_means_are_over_the_robots_of_a_fleet():

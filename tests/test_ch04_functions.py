@@ -128,7 +128,7 @@ def test_batch_methods_see_the_latest_result_of_each_task_and_controls_other_des
 
 def test_zero_shot_policies_are_asked_for_with_what_each_method_may_know():
     class New:
-        descriptors, parameters, starts = np.array([[5.0, 1], [6, 1]]), 0, 0
+        descriptors, parameters, starts = np.array([[5.0, 1], [6, 1]]), np.zeros((2, 1)), np.zeros((2, 1))
 
         def __len__(self):
             return 2
