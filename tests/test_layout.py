@@ -18,14 +18,25 @@ LIBRARY = REPOSITORY / "lifelong_lib"
 SOURCES = sorted(LIBRARY.rglob("*.py"))
 NOTEBOOKS = find_notebooks(REPOSITORY / "notebooks")
 # With all eight chapters it must not be more than 6,500.
-LINES = 5300
+LINES = 5450
 
 # May import from: None = anything of the library. A module that is not listed falls under its package.
 ALLOWED = {
     "reproduction.files": (),
     "reproduction.labels": ("reproduction.files",),
+    "reproduction.machine": ("reproduction.files",),
+    "reproduction.configurations": ("reproduction.files",),
     "reproduction.fingerprint": ("reproduction.files",),
     "reproduction.backends": ("reproduction.files",),
+    "reproduction.packed": ("reproduction.files", "reproduction.configurations"),
+    "reproduction.store": ("reproduction.files", "reproduction.packed"),
+    "reproduction.grid": ("reproduction.files", "reproduction.configurations", "reproduction.fingerprint",
+                          "reproduction.backends", "reproduction.packed"),
+    "reproduction.audits": ("reproduction.files", "reproduction.configurations", "reproduction.machine",
+                            "reproduction.packed", "reproduction.store", "reproduction.grid"),
+    "reproduction.runs": ("reproduction.files", "reproduction.configurations", "reproduction.fingerprint",
+                          "reproduction.machine", "reproduction.packed", "reproduction.store", "reproduction.grid",
+                          "reproduction.audits"),
     "reproduction.statistics": (),
     "reproduction": ("reproduction",),
     "environments": ("environments",),
