@@ -7,13 +7,15 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import pytest
 from conftest import REPOSITORY, command, make_project, write_notebook
 
 from lifelong_lib.__main__ import main
 from lifelong_lib.bench import Row
-from lifelong_lib.reproduction.runs import processor
+from lifelong_lib.reproduction.machine import processor
+from lifelong_lib.reproduction.store import Store
 
 
 @pytest.mark.parametrize("arguments, complaint", [
@@ -111,9 +113,11 @@ def test_audit_tells_a_stored_run_that_does_not_come_out_again(project, tmp_path
     shutil.copytree(project, copy)
     assert inside(copy, "audit", "2") == 0
     assert "2 of 2 recomputed runs are identical" in capsys.readouterr().out
-    runs = sorted((copy / "data" / "results" / "quick" / "ch04").glob("*/*.npz"))
-    record = runs[0].with_suffix(".json")
-    record.write_text(record.read_text().replace('"processor": "', '"processor": "another than '))
+    stores = [Store(copy / "data" / "results" / "quick" / "ch04" / name, 4, name) for name in ("slopes", "chosen")]
+    runs = stores[0].read()
+    key, run = next(iter(runs.items()))
+    stores[0].pack(runs | {key: replace(run, versions={"processor": f"another than {processor()}"})})
+    runs |= stores[1].read()
     assert inside(copy, "audit", str(len(runs))) == 0 and "made on" not in capsys.readouterr().out
     notebook = copy / "notebooks" / "ch04_demonstration.ipynb"
     notebook.write_text(notebook.read_text().replace("(5 + ", "(6 + "))
@@ -121,6 +125,26 @@ def test_audit_tells_a_stored_run_that_does_not_come_out_again(project, tmp_path
     changed = capsys.readouterr().out
     assert f"0 of {len(runs)}" in changed and changed.count("DIFFERENT in curve") == len(runs)
     assert changed.count(f"(made on processor another than {processor()}, here {processor()})") == 1
+
+
+def test_a_stamp_over_a_refactoring_and_none_over_a_change(project, tmp_path, inside, capsys):
+    copy = tmp_path / "copy"
+    shutil.copytree(project, copy)
+    notebook = copy / "notebooks" / "ch04_demonstration.ipynb"
+    notebook.write_text(notebook.read_text().replace('config[\\"tasks\\"] * (5', '1 * config[\\"tasks\\"] * (5'))
+    assert inside(copy, "run", "--why", "F4.1") == 0
+    assert "stale because function experiment changed" in capsys.readouterr().out
+    assert inside(copy, "audit", "1", "--stamp") == 0
+    said = capsys.readouterr().out
+    assert "2 of 2 recomputed runs are identical" in said and said.count("runs are stamped: audited 1 of") == 2
+    assert inside(copy, "run", "--why", "F4.1") == 0
+    asked = capsys.readouterr().out
+    assert "8 stored, 0 stale" in asked and "8 stamped: made by other code, but audited 1 of 8 at commit" in asked
+    notebook.write_text(notebook.read_text().replace("(5 + ", "(6 + "))
+    assert inside(copy, "audit", "1", "--stamp") == 1
+    said = capsys.readouterr()
+    assert "stamped: audited" not in said.out and "error: runs came out differently, so what is stale stays" in said.err
+    assert "chosen of chapter 4, slopes of chapter 4" in said.err
 
 
 def test_a_failing_chapter_is_reported_and_the_rest_is_made(tmp_path, inside, capsys):

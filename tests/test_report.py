@@ -112,7 +112,8 @@ def test_provenance_tells_versions_parameters_and_runs_without_dates(project):
     made = json.loads((project / "figures" / "latest" / "quick" / "provenance.json").read_text())
     assert made["profile"] == "quick" and len(made["lock"]) == 64 and made["versions"]["numpy"] == np.__version__
     assert made["chapters"]["ch04"]["parameters"]["scale"] == 1.0
-    assert made["chapters"]["ch04"]["runs"]["slopes"] == {"wanted": 8, "computed": 8, "read": 0, "stale": 0}
+    assert made["chapters"]["ch04"]["runs"]["slopes"] == {"wanted": 8, "computed": 8, "read": 0, "stale": 0,
+                                                            "stamped": 0}
     assert not re.search(r"20\d\d-\d\d-\d\d", json.dumps(made["chapters"]))
 
 
