@@ -19,6 +19,7 @@ from lifelong_lib.environments.crossing import (
     WIDTH,
     Crossing,
     grid,
+    outcome_shares,
     overlaps,
 )
 from lifelong_lib.environments.pictures import OTHER, OWN, ROAD
@@ -164,3 +165,8 @@ def test_a_car_stands_in_its_cell_with_heading_speed_and_presence():
     assert seen[2, 13].tolist() == [1, 1, 1] and seen[17, 0].tolist() == [0, 0.5, 1]
     assert np.count_nonzero(seen[:, :, 2]) == 2
     assert not grid(np.zeros((0, 4)), origin).any()
+
+
+def test_shares_of_outcomes_by_hand():
+    infos = [{"outcome": outcome} for outcome in ("success", "timeout", "success", "collision")]
+    assert outcome_shares(infos).tolist() == [0.5, 0.25, 0.25]

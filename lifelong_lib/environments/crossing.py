@@ -14,6 +14,7 @@ from lifelong_lib.environments.pictures import OTHER, OWN, RENDER_MODES, ROAD, P
 STEP_SECONDS, MAX_STEPS = 0.2, 100  # a trial lasts 20 s at most
 WAITS = (1, 2, 4, 8)  # steps; the last action is to go
 GO = len(WAITS)
+OUTCOMES = ("success", "collision", "timeout")  # of a trial
 REWARDS = {"": -0.01, "success": 0.99, "collision": -1.01}  # of one step, with what it led to
 SPEED = 20.0  # [m/s] limit on the roads of chapter 5, and the unit of the speed channel
 LENGTH, WIDTH = 5.0, 1.8  # [m] of every car
@@ -97,6 +98,11 @@ class Crossing(gym.Env):
 
     def _look(self) -> np.ndarray:
         return grid(self.cars()[1], self.origin)
+
+
+def outcome_shares(infos: list[dict]) -> np.ndarray:
+    """Return the shares of OUTCOMES (3,) among trials, given the last info of each."""
+    return np.mean([[info["outcome"] == outcome for outcome in OUTCOMES] for info in infos], axis=0)
 
 
 def grid(cars: np.ndarray, origin: np.ndarray) -> np.ndarray:

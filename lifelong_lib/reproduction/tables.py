@@ -9,6 +9,7 @@ from numbers import Integral, Real
 
 from lifelong_lib.reproduction.files import require, write_atomically
 from lifelong_lib.reproduction.labels import check_identity
+from lifelong_lib.reproduction.statistics import standard_error
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,11 @@ def readable(value):
     if isinstance(value, Real) and not isinstance(value, Integral):
         return "–" if math.isnan(value) else f"{value:.4g}"
     return "" if value is None else " ".join(str(value).split())
+
+
+def with_error(samples, mean=".3f", error=".3f"):
+    """Return the mean of `samples` (n,) and its standard error as text: "0.512 ± 0.021". `mean`, `error`: formats."""
+    return f"{samples.mean():{mean}} ± {standard_error(samples):{error}}"
 
 
 def columns(rows):
