@@ -190,4 +190,4 @@ def test_the_backend_of_a_notebook_is_loaded_before_the_style_is_set():
 
 def test_mean_and_standard_error_as_text_by_hand():
     samples = np.array([1.0, 2, 3, 6])  # mean 3, variance 14 / 3, standard error 1.0801
-    assert with_error(samples) == "3.000 ± 1.080" and with_error(samples, "+.1f", ".1g") == "+3.0 ± 1"
+    assert tables.with_error(samples) == "3.000 ± 1.080" and tables.with_error(samples, "+.1f", ".1g") == "+3.0 ± 1"
