@@ -129,6 +129,11 @@ FALLING = [[-1, -2, -3, -4, -5, -6, -9]] * 3
 
 def test_subset_parts_by_hand():
     rewards = np.array([[-9, -9, -9, -5, -5, -5, -1], [-9, -9, -9, -3, -9, -9, -6]], float)
+    uneven = np.array([[-9, -6, -3, -5, -5, -1, 0], [-9, -9, -9, -3, -4, -9, 0]], float)
+    parts = subset_space(uneven).subset_parts(uneven)
+    assert parts["full set minus mean of the single features"].tolist() == [6, 9]
+    assert parts["full set minus the best other subset"].tolist() == [5, 3]  # MD: -4 on average, not DK with its -1
+
     parts = subset_space(rewards).subset_parts(rewards)
     # Ranks of sizes: 2 2 2 5 5 5 7. Those of the first trial's rewards are the same, of the second's 3 3 3 7 3 3 6.
     # Less their means of 4: -2 -2 -2 1 1 1 3 and -1 -1 -1 3 -1 -1 2; products add to 13, squares to 24 and 18.
@@ -161,6 +166,14 @@ def costs(power_tadell=1, power_rival=2, factor=100.0, counts=(20, 40, 60)):
     methods = ("TaDeLL", "Sinapov et al.")
     space.per_task = {m: np.stack([space.seconds(m, n) for n in range(4)], axis=1) / 40 for m in methods}
     return space
+
+
+def test_exponents_are_means_over_systems_for_each_trial():
+    def entry(i, name, count):
+        return {"system": name, "tasks": count}, {"seconds TaDeLL": [float(count) ** power for power in (i, 2 * i)]}
+    found = runs(*(entry(i, name, count) for i, name in enumerate(SYSTEMS) for count in (10, 20)))
+    space = load(4, "seconds", "exponents", costs=found, counts=[10, 20], systems=SYSTEMS, tasks=20)
+    assert space.exponents("TaDeLL") == pytest.approx([1.5, 3])  # of 0 1 2 3 and of 0 2 4 6
 
 
 @pytest.mark.parametrize("change, verdict", [
@@ -227,14 +240,14 @@ def test_c4_13_asks_for_growth_and_steadiness(tmp_path, change, verdict):
 
 
 def test_a_life_notes_steps_and_an_objective_over_what_it_remembers():
-    """A stand-in whose dictionary is the number of the task met, and all codes 1."""
+    """A stand-in whose dictionary is the policy of the task met; the code of task 2 is 3, all others are 1."""
     class Method:
         def __init__(self, *settings):
             self.codes_, self.names = {}, []
 
         def partial_fit(self, name, alpha, gamma, description):
             self.names.append(name)
-            self.basis_, self.codes_[name] = alpha[:, None].copy(), np.ones(1)
+            self.basis_, self.codes_[name] = alpha[:, None].copy(), np.full(1, 3.0 if alpha == 4 else 1.0)
 
     estimates = [(t, np.array([float(t**2)]), np.eye(1)) for t in range(4)]
     space = load(4, "live", TaDeLL=Method)
@@ -242,16 +255,18 @@ def test_a_life_notes_steps_and_an_objective_over_what_it_remembers():
     method, steps, objectives = space.live(config, estimates, np.zeros((4, 1)), memory=2)
     assert method.names == [0, 1, 0, 1]  # a name met before is exchanged
     assert steps.tolist() == [0, 1, 3, 5]  # of L = 0, 1, 4, 9
-    # The last two tasks, with their codes 1 in the latest L: fit, 0.5 for codes, 0.1 L^2.
-    assert objectives == pytest.approx([0.5, 0.5 + 0.5 + 0.1, 4.5 + 0.5 + 1.6, 12.5 + 0.5 + 8.1])
-    assert space.live(config, estimates, np.zeros((4, 1)), memory=4)[2][-1] == pytest.approx((81 + 64 + 25) / 4 + 8.6)
+    # The last two tasks, with their codes in the latest L: mean fit, 0.5 times the mean code, 0.1 L^2.
+    # L = 1: (1 + 0) / 2; L = 4: (1 - 4)^2 and (4 - 12)^2, codes 1 and 3; L = 9: (4 - 27)^2 and (9 - 9)^2.
+    assert objectives == pytest.approx([0.5, 0.5 + 0.5 + 0.1, 36.5 + 1 + 1.6, 264.5 + 1 + 8.1])
+    all_four = space.live(config, estimates, np.zeros((4, 1)), memory=4)[2][-1]
+    assert all_four == pytest.approx((81 + 64 + 529) / 4 + 0.75 + 8.1)
 
 
 def theory(slope=-1.0, tail=0.01, coherence=-0.2, late=1.0, growth=1.0):
     """Steps T^slope, and an objective of 1 with a bump of `tail` in the last tenth; `window` does not settle."""
     T = np.arange(1, 101)
     objectives = np.ones(100)
-    objectives[92] += tail
+    objectives[[89, 90]] += 9, tail  # the last tenth begins at 90
     lives = {"steps": same(*T**slope), "objectives": same(*objectives), "window steps": same(*np.ones(100)),
              "window objectives": same(*(2 + np.sin(T))), "coherence of K": same(0.5 + coherence),
              "coherence of L": same(0.5)}
