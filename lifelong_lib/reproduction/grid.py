@@ -127,10 +127,10 @@ def make_tasks(chapter: int, name: str, configs, seeds, depends: dict, inputs=No
     if luck is not None:
         require(not isinstance(luck, str), f"luck must be a list of names, not the text {luck!r}")
         depends = depends | {"luck": ", ".join(sorted(luck))}
-    tasks = {}
+    tasks, seeds = {}, _sorted_seeds(name, seeds)
     for config, arrays in zip(configs, _inputs_of_each(name, configs, inputs), strict=True):
         drawn_from, parts = _drawn_from(name, config, arrays, luck), depends | digests(arrays)
-        for seed in _checked(name, seeds):
+        for seed in seeds:
             entropy = int(sha256(json.dumps([chapter, name, drawn_from, seed])), 16)
             tasks[run_key(config, seed)] = Task(dict(config), seed, entropy, arrays, parts)
     return tasks
@@ -146,7 +146,7 @@ def seconds_needed(count: int, each: float | None, workers: int) -> float | None
     return None if each is None else float(each) * math.ceil(count / workers)
 
 
-def _checked(name, seeds) -> list[int]:
+def _sorted_seeds(name, seeds) -> list[int]:
     seeds = range(seeds) if whole(seeds) else seeds
     good = isinstance(seeds, (list, tuple, range)) and all(map(whole, seeds)) and len(set(seeds)) == len(seeds) > 0
     require(good, f"seeds of '{name}' must be a number above 0 or a list of different whole numbers, not {seeds!r}")

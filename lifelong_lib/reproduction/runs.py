@@ -196,9 +196,11 @@ def run_card(chapter: Chapter) -> str:
     card |= {"backend": chapter.options.get("backend", "loky"), "commit": commit()}
     card["versions"] = ", ".join(f"{package} {version}" for package, version in versions().items())
     grids = chapter.grids.values()
-    wanted, stale, stamped = (sum(getattr(grid, name) for grid in grids) for name in ("wanted", "stale", "stamped"))
-    if stale:
-        card["stale"] = f"{stale} of {wanted} runs"
-    if stamped:
-        card["stamped"] = f"{stamped} of {wanted} runs: made by other code, and found the same by an audit of some"
+    wanted = sum(grid.wanted for grid in grids)
+    meanings = {"stale": "made by other code, inputs or files",
+                "stamped": "made by other code, and found the same by an audit of some"}  # fmt: skip
+    for kind, meaning in meanings.items():
+        number = sum(getattr(grid, kind) for grid in grids)
+        if number:
+            card[kind] = f"{number} of {wanted} runs: {meaning}"
     return "\n".join(f"{key + ':':10}{value}" for key, value in card.items())
