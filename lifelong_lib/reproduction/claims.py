@@ -20,10 +20,12 @@ from lifelong_lib.reproduction.labels import VERDICTS, order
 from lifelong_lib.reproduction.runs import PROFILES
 
 LEDGER = ROOT / "data" / "thesis" / "claims.toml"
-FEWEST_SAMPLES = 3  # two numbers of one sign happen by chance in every second experiment
 KINDS = ("value", "order", "sign", "shape")
-CENTRES = {"mean": (np.mean, statistics.mean_interval),
-           "interquartile mean": (statistics.interquartile_mean, statistics.interquartile_interval)}  # fmt: skip
+CENTRES = {  # the centre, its interval, and from how many samples on that decides anything
+    "mean": (np.mean, statistics.mean_interval, 3),  # two numbers of one sign are chance in every second experiment
+    "interquartile mean": (statistics.interquartile_mean, statistics.interquartile_interval, 24),  # of six numbers with
+    # five of one sign it would not see the sixth
+}
 CLAIM_KEYS = {"id", "chapter", "statement", "source", "kind", "profile", "control", "tolerance_origin", "parts"}
 OPTIONAL_KEYS = {"stand_in", "centre"}
 PART_KEYS = {"at_least", "at_most", "thesis", "tolerance", "unit", "measure", "decides", "control"}
@@ -186,16 +188,17 @@ def judge_part(entry, label, samples):
     if samples.ndim != 1 or not len(samples) or not np.isfinite(samples).all():
         raise ReproductionError(f"claim {entry['id']}: '{label}' needs one finite number a seed, got "
                                 f"{samples.tolist()}")  # fmt: skip
-    centre_of, interval_of = CENTRES[entry["centre"]]
+    centre_of, interval_of, fewest = CENTRES[entry["centre"]]
     (low, high), n, centre, (bottom, top) = _bounds(part), len(samples), float(centre_of(samples)), interval_of(samples)
     verdict, power = "undecided", ""
-    if n >= FEWEST_SAMPLES:
+    if n >= fewest:
         verdict = "holds" if low < bottom and top < high else verdict
         verdict = "contradicted" if top < low or bottom > high else verdict
     bound = low if centre - low < high - centre else high
     distance, reach = min(centre - low, high - centre), (top - bottom) / 2
     if verdict == "undecided" and reach > 0:
         needed = statistics.samples_needed(distance, reach, n)
+        needed = needed and max(needed, fewest)
         power = f"{'more than 10,000' if needed is None else f'about {needed:,}'} samples would decide"
     p = statistics.paired_permutation(samples - bound, centre_of)
     test = f"sign flips of the samples against {bound:g}, two-sided" if p is not None else \

@@ -4,6 +4,8 @@ Axis 0 is always the seed (or trial): episodes and tasks are averaged before the
 one run are not two runs. Every function that draws random numbers takes a seed and gives the same answer each time.
 """
 
+from functools import cache
+
 import numpy as np
 from scipy import stats
 
@@ -31,11 +33,10 @@ def mean_interval(samples, resamples=10_000, seed=0):
     n, centre = len(_some(samples)), samples.mean(axis=0)
     reach = stats.t.ppf(0.975, n - 1) * standard_error(samples)
     low, high = centre - reach, centre + reach
-    if n >= FEWEST_FOR_BOOTSTRAP and np.any(reach > 0):
+    if n >= FEWEST_FOR_BOOTSTRAP and np.all(reach > 0):  # which equal samples have not
         level = 1 - 2 * stats.norm.cdf(-np.sqrt(n / (n - 1)) * stats.t.ppf(0.975, n - 1))
-        found = stats.bootstrap((samples,), np.mean, n_resamples=resamples, confidence_level=level,
-                                method="BCa", vectorized=True, batch=500, rng=seed).confidence_interval  # fmt: skip
-        low, high = (np.where(reach > 0, edge, centre)[()] for edge in found)  # equal samples are a point
+        low, high = stats.bootstrap((samples,), np.mean, n_resamples=resamples, confidence_level=level,
+                                    method="BCa", vectorized=True, batch=500, rng=seed).confidence_interval  # fmt: skip
     return low, high
 
 
@@ -71,11 +72,16 @@ def samples_needed(distance, reach, n):
     Mean and spread are taken to be those seen: an interval that reaches `reach` to either side with `n` samples, and
     whose centre lies at `distance` from the bound.
     """
-    sizes = np.arange(2, 10_001)
     spread = reach * np.sqrt(n) / stats.t.ppf(0.975, n - 1)
-    needed = (stats.t.ppf(0.975, sizes - 1) + stats.t.ppf(0.8, sizes - 1)) * spread / np.sqrt(sizes)
-    enough = sizes[needed <= abs(distance)]
-    return int(enough[0]) if len(enough) else None
+    enough = np.flatnonzero(spread * _distances_that_decide() <= abs(distance))
+    return int(enough[0]) + 2 if len(enough) else None
+
+
+@cache
+def _distances_that_decide():
+    """In spreads, how far from a bound the mean of 2, 3, ... 10,000 samples has to be."""
+    sizes = np.arange(2, 10_001)
+    return (stats.t.ppf(0.975, sizes - 1) + stats.t.ppf(0.8, sizes - 1)) / np.sqrt(sizes)
 
 
 def paired_permutation(differences, centre=np.mean, seed=0):
