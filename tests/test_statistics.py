@@ -45,6 +45,8 @@ def test_interval_keeps_shape_and_repeats_itself(n):
 def test_interval_of_equal_samples_is_a_point_and_of_one_sample_unknown(interval):
     for n in (3, 8, 30):
         assert interval([2.0] * n) == pytest.approx((2.0, 2.0))
+        rounded = 0.1 * np.arange(1, n + 1) / np.arange(1, n + 1)  # equal but for the last digit
+        assert interval(rounded) == pytest.approx((0.1, 0.1))
     assert np.isnan(interval([2.0])).all()
     with pytest.raises(ValueError, match="no samples"):
         interval([])

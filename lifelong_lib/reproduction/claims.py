@@ -203,11 +203,10 @@ def judge_part(entry, label, samples):
     p = statistics.paired_permutation(samples - bound, centre_of)
     test = f"sign flips of the samples against {bound:g}, two-sided" if p is not None else \
         f"no p: sign flips of {n} samples cannot give less than {2 / 2**n:.2g}"
-    margin = np.clip(distance / reach if reach > 0 else 1e9 * np.sign(distance), -1e9, 1e9)
     return {"label": label, "measure": part.get("measure", ""), "unit": part.get("unit", ""),
             "thesis": _expected(part), "measured": centre, "interval": [float(bottom), float(top)] if n > 1 else None,
-            "n": n, "p": p, "test": test, "margin": float(margin), "verdict": verdict, "power": power,
-            "decides": part["decides"]}
+            "n": n, "p": p, "test": test, "margin": float(distance / max(reach, 1e-9)) if n > 1 else 0.0,
+            "verdict": verdict, "power": power, "decides": part["decides"]}
 
 
 def _expected(part):

@@ -33,7 +33,7 @@ def mean_interval(samples, resamples=10_000, seed=0):
     n, centre = len(_some(samples)), samples.mean(axis=0)
     reach = stats.t.ppf(0.975, n - 1) * standard_error(samples)
     low, high = centre - reach, centre + reach
-    if n >= FEWEST_FOR_BOOTSTRAP and np.all(reach > 0):  # which equal samples have not
+    if n >= FEWEST_FOR_BOOTSTRAP and np.all(reach > 1e-9 * np.abs(centre)):  # equal samples have none to resample
         level = 1 - 2 * stats.norm.cdf(-np.sqrt(n / (n - 1)) * stats.t.ppf(0.975, n - 1))
         low, high = stats.bootstrap((samples,), np.mean, n_resamples=resamples, confidence_level=level,
                                     method="BCa", vectorized=True, batch=500, rng=seed).confidence_interval  # fmt: skip
