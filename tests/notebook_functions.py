@@ -113,7 +113,7 @@ class Recorder:
         return np.zeros(1)
 
 
-def same(*values: float, trials: int = 24) -> list:
+def same(*values: float, trials: int = 3) -> list:
     """The same numbers (or number) in every trial, a value for `runs`."""
     return [np.array(values, float) if len(values) > 1 else float(values[0])] * trials
 
