@@ -238,7 +238,7 @@ def test_fewer_tasks_are_the_first_ones_and_the_control_meets_them_as_often():
     assert seen[0] == ([0, 1], [0, 1, 0]) and seen[2] == ([0, 1, 2, 3], [0, 1, 0, 3, 2])
     assert seen[4][1] == [4, 0, 1, 0, 3, 2, 5] and found["TaDeLL"].tolist() == [1, 2, 3, 4, 5]
     assert met_again == [([0, 1], [10, 11], 2)]  # from their untrained policies
-    assert seen[5] == ([0, 1], [0, 0, 1, 0, 1, 0, 1]) and found["TaDeMTL, met as often"] == -6  # seven meetings too
+    assert seen[5] == ([0, 1], [0, 0, 1, 0, 1, 0, 1]) and found["TaDeMTL again"] == -6  # seven meetings too
 
 
 def test_both_methods_learn_from_the_latest_results_and_one_from_its_start():
@@ -265,7 +265,7 @@ def numbers(again=-9.0, **curves):
     """Curves of three trials (with two numbers of tasks), eight times; PG gains 10."""
     values = {"TaDeLL": [(-9, -4), (-9, -2), (-9, 0)], "TaDeMTL": [(-9, -3), (-9, -2), (-9, -1)]} | curves
     curves = {name: [np.array(curve, float) for curve in found * 8] for name, found in values.items()}
-    curves |= {f"{name}, met as often": [again] * len(found) for name, found in curves.items()}
+    curves |= {f"{name} again": [again] * len(found) for name, found in curves.items()}
     found = runs(*(({"start": begin}, curves) for begin in ("random", "tasks")))
     names = ("by_number", "growth", "growth_of_control", "spread", "STARTS")
     return load(4, *names, numbers=found, systems=SYSTEMS, pg_gain=lambda *which: 10.0,
