@@ -85,6 +85,22 @@ def test_only_stale_runs_are_audited_for_a_stamp_and_get_it(root, options, monke
     assert stamps == {"cart-pole": True, "bicycle": False} and store.packed
 
 
+TIMES = 1
+
+
+def timed(config, seed):
+    return {"seconds of nothing": TIMES * 0.5}
+
+
+def test_a_grid_of_measured_times_is_stamped_but_says_so(root, options, monkeypatch):
+    run_grid(chapter("paper"), "grid", timed, CONFIGS)
+    monkeypatch.setitem(globals(), "TIMES", 2)
+    options(audit=1, stamp=True)
+    run_grid(chapter("paper"), "grid", timed, CONFIGS)
+    assert report(root, "paper")["stale"] == 0
+    assert next(iter(report(root, "paper")["stamps"])).endswith("with nothing to compare but measured times")
+
+
 def test_differences_say_where_and_how_much():
     old = {"a": np.arange(3.0), "b": np.array([1, 2]), "c": np.zeros(2), "seconds x": np.ones(1), "n": np.array(np.nan)}
     new = {"a": np.arange(3.0) + [0, 0, 0.5], "b": np.array([1, 3]), "d": np.zeros(2), "n": np.array(np.nan)}

@@ -38,6 +38,8 @@ def stamped(grid: Grid, rows: list[dict]) -> dict[str, Run]:
     Their stamp says how many runs were computed again, and at which commit.
     """
     stamp = f"audited {len(rows)} of {len(grid.tasks)} at commit {commit()}"
+    if not any(row["compared"] for row in rows):
+        stamp += ", with nothing to compare but measured times"
     new = {key: replace(grid.runs[key], made_by=grid.tasks[key].depends, stamp=stamp) for key in grid.stale}
     return grid.stored | new
 
