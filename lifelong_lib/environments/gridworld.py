@@ -35,19 +35,22 @@ PIXELS = 20  # a cell, in pictures
 
 
 class FourRooms(gym.Env):
-    """A trial: walk from the top left to the goal, which is in a random cell of a ``room``, a name of ROOMS.
+    """A trial: walk from the top left to a goal in a ``room``, a name of ROOMS.
 
+    ``goal``: its cell (row, column), one of the room's; None: another random cell of the room in every trial.
     Observations (11, 11, 1) are those of `look`. Rewards: -0.01 a step, +10 at the goal. ``info`` has ``steps``, 1 for
     each action, and ``outcome``: "", "success" or, after 100 steps, "timeout". ``render_mode``: None or "rgb_array".
-    Raises ValueError for an unknown room or mode, RuntimeError for a step in a trial that has ended.
+    Raises ValueError for an unknown room, goal or mode, RuntimeError for a step in a trial that has ended.
     """
 
     metadata: ClassVar = {"render_modes": RENDER_MODES, "render_fps": 5}
 
-    def __init__(self, room: str = "top right", render_mode: str | None = None):
+    def __init__(self, room: str = "top right", goal: tuple | None = None, render_mode: str | None = None):
         if room not in ROOMS:
             raise ValueError(f"no room {room!r} for the goal; there are {', '.join(ROOMS)}")
-        self.room, self.render_mode = room, known_mode(render_mode)
+        if goal is not None and not all(cell in cells for cell, cells in zip(goal, ROOMS[room], strict=True)):
+            raise ValueError(f"no goal at {goal} in the room {room!r}, which has rows and columns {ROOMS[room]}")
+        self.room, self.fixed, self.render_mode = room, goal, known_mode(render_mode)
         self.observation_space = gym.spaces.Box(0, 1, (*WALLS.shape, 1), np.float32)
         self.action_space = gym.spaces.Discrete(len(MOVES))
         self.agent, self.goal, self.steps, self._ended = START, START, 0, True
@@ -55,7 +58,7 @@ class FourRooms(gym.Env):
     def reset(self, *, seed: int | None = None, options: dict | None = None):
         """Begin a trial: (observation, info)."""
         super().reset(seed=seed)
-        self.goal = tuple(int(self.np_random.choice(cells)) for cells in ROOMS[self.room])
+        self.goal = self.fixed or tuple(int(self.np_random.choice(cells)) for cells in ROOMS[self.room])
         self.agent, self.steps, self._ended = START, 0, False
         return look(self.agent, self.goal), {"steps": 0, "outcome": ""}
 
