@@ -34,6 +34,11 @@ def test_fisher_is_exact_where_both_classes_are_equally_likely():
     assert found == pytest.approx([(1 + 9) / 2 / 4] * 2 + [1 / 4] * 2)  # whatever class is drawn
 
 
+def test_a_network_that_has_diverged_ends_in_nan_and_not_in_an_error():
+    found = diagonal_fisher(slope_network(np.nan, 1.0), [[1.0]], np.random.default_rng(0))
+    assert np.isnan(found).all()
+
+
 def test_fisher_is_the_curvature_of_what_a_change_of_weights_does_to_the_answers():
     """The Kullback-Leibler divergence of a small change d of one weight is F d^2 / 2; second implementation."""
     network, inputs = Network((3,), [Dense(4), Dense(3)], 5), np.random.default_rng(1).standard_normal((3, 3))

@@ -10,13 +10,13 @@ def diagonal_fisher(network: Network, inputs: np.ndarray, rng: np.random.Generat
     """The diagonal of the Fisher information (weights,) of a classifier: how much each weight matters to its answers.
 
     The mean over ``inputs`` (n, *shape) of the squared derivative of log p(class), with a class drawn for each input
-    from what the network itself gives: a softmax of its outputs.
+    from what the network itself gives: a softmax of its outputs. It is nan for a network that has diverged.
     """
     total = torch.zeros_like(network.weights)
     for row in torch.from_numpy(np.asarray(inputs, np.float32)):
         passed = network.forward(row[None])
         chances = torch.softmax(passed[-1][1].double(), dim=1)
-        drawn = int(rng.choice(chances.shape[1], p=chances[0].numpy()))
+        drawn = int((chances[0].cumsum(0) > rng.random()).int().argmax())
         chances[0, drawn] -= 1  # the derivatives of -log p(drawn) by the outputs
         network.backward(passed, chances.float())
         total += network.gradient**2
