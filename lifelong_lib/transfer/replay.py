@@ -102,9 +102,8 @@ class CoverageMemory(ReplayBuffer):
     ``features(trial) -> (n, d)`` describe experiences; ``distance(one (d,), others (m, d)) -> (m,)``; neighbours are
     nearer than ``eta``. `neighbours` (capacity + 1,) are exact at any time, where the thesis counts anew when it
     samples: who comes adds one to each neighbour's number, who goes takes it off. An insert costs twice the distances
-    to all that are stored. `arrivals`, `added`: as in `EpisodicMemory`.
-
-    Raises ValueError for a capacity below 1, an ``eta`` that is not above 0, and a distance that is not a number.
+    to all that are stored. `arrivals`, `added`: as in `EpisodicMemory`. Raises ValueError for a capacity below 1, an
+    ``eta`` that is not above 0, and a distance that is not a number.
     """
 
     def __init__(self, capacity: int, shape: tuple, features: Callable, distance: Callable, eta: float, rng):
