@@ -72,7 +72,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     run.add_argument("--seeds", type=positive, help="seeds a configuration (default: the profile's)")
     run.add_argument("--fresh", action="store_true", help="recompute what other code made, at paper too")
     run.add_argument("-p", action="append", default=[], metavar="NAME=VALUE", help="a parameter of the notebook")
-    run.set_defaults(stamp=False)
+    run.set_defaults(stamp=False, values=None, beside=None)
     instead = run.add_mutually_exclusive_group()
     instead.add_argument("--plan", action="store_true", help="only predict the minutes")
     instead.add_argument("--why", metavar="ID", help="only say which runs a figure, table or claim needs, as in F4.2")
@@ -81,6 +81,10 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     audit.add_argument("audit", type=positive, metavar="K")
     audit.add_argument("--stamp", action="store_true",
                        help="K runs of every grid; where all are identical, its stale runs count as made by this code")
+    audit.add_argument("--beside", type=Path, metavar="FOLDER",
+                       help="with --stamp: compare with what the code that made the runs computed here with --values")
+    audit.add_argument("--values", type=Path, metavar="FOLDER",
+                       help="keep what K runs of every grid come to, for --beside")
     audit.set_defaults(seeds=None, fresh=False, p=[], plan=False, why=None)
     add("compare", compare_command, "compare the last run with the committed reference", profile)
     add("accept", accept_command, "make the last run the reference", profile)
@@ -90,6 +94,8 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     options = parser.parse_args(arguments)
     if "backend" in options and (options.backend == "dask") != bool(options.address):
         parser.error("--address needs --backend dask, and --backend dask needs --address")
+    if getattr(options, "beside", None) and not options.stamp or getattr(options, "values", None) and options.stamp:
+        parser.error("--beside goes with --stamp, and --values without it")
     return options
 
 
@@ -198,6 +204,9 @@ def audit_runs(options: argparse.Namespace, chosen: dict[int, Path], typed: dict
         print(f"chapter {chapter}  {row['run']}: {said}{' (made by older code)' * row['stale']}")
     same = sum(row["same"] for _, row in rows)
     print(f"{same} of {len(rows)} recomputed runs are identical to what is stored")
+    if options.values:
+        print(f"they are kept in {options.values}")
+        return 0
     if options.stamp:
         return tell_stamps(grids)
     if len(rows) < options.audit:
@@ -222,11 +231,14 @@ def look(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, 
     left = options.audit or 0
     with tempfile.TemporaryDirectory(prefix="lifelong-look-") as temporary:
         for place, (number, path) in enumerate(chosen.items()):
-            share = options.audit if options.stamp else -(-left // (len(chosen) - place))
+            of_every_grid = options.stamp or options.values
+            share = options.audit if of_every_grid else -(-left // (len(chosen) - place))
             left -= share
             if share or not options.audit:
                 print(f"looking into chapter {number}", file=sys.stderr, flush=True)
-                asked = kernel_options(options, audit=share, stamp=options.stamp, plan=not options.audit)
+                folders = {name: str(folder.resolve()) for name in ("values", "beside")
+                           if (folder := getattr(options, name))}  # fmt: skip
+                asked = kernel_options(options, audit=share, stamp=options.stamp, plan=not options.audit, **folders)
                 notebooks.execute(path, typed[number] | {"output_dir": temporary}, Path(temporary), asked)
         return read_summaries(Path(temporary))
 

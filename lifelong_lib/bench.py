@@ -209,7 +209,7 @@ def torch_twin(network):
 
 def learner(**more):
     """A learner of the junctions with the settings of chapter 5's first search."""
-    from lifelong_lib.environments.intersections import COLUMNS, GO, ROWS
+    from lifelong_lib.environments.crossing import COLUMNS, GO, ROWS
     from lifelong_lib.learners.q_learning import DQN, ReplayBuffer, Settings, q_network
 
     knobs = {"rate": 1e-4, "damping": 1e-6, "decay": 0.95, "discount": 0.99, "epsilon": 0.05, "batch": 60, "warm_up": 1}

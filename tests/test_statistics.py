@@ -111,3 +111,24 @@ def test_rank_correlation_agrees_with_scipy_where_ranks_tie():
     x, y = [1, 1, 1, 2, 2, 2, 3], np.random.default_rng(2).normal(size=(4, 7))
     assert np.allclose(st.rank_correlation(x, y), [stats.spearmanr(x, row).statistic for row in y])
     assert np.isnan(st.rank_correlation([1, 2, 3], [4.0, 4.0, 4.0]))
+
+
+def test_the_measures_of_a_life_by_hand():
+    accuracy = [[0.9, 0.2, 0.3],
+                [0.8, 0.7, 0.4],
+                [0.6, 0.75, 0.8]]  # fmt: skip
+    found = st.lifelong_measures(accuracy, [0.1, 0.1, 0.25])
+    assert found["average accuracy"] == pytest.approx((0.6 + 0.75 + 0.8) / 3)
+    assert found["backward transfer"] == pytest.approx(((0.6 - 0.9) + (0.75 - 0.7)) / 2)
+    assert found["forgetting"] == pytest.approx(((0.9 - 0.6) + (0.7 - 0.75)) / 2)
+    assert found["forward transfer"] == pytest.approx(((0.2 - 0.1) + (0.4 - 0.25)) / 2)
+    relearned = [[0.5, 0.0, 0.0], [0.9, 0.5, 0.0], [0.6, 0.5, 0.5]]  # the first task was best after the second
+    found = st.lifelong_measures(np.stack([accuracy, relearned]), np.zeros((2, 3)))
+    assert found["forgetting"] == pytest.approx([0.125, 0.15]) and found["backward transfer"][1] == pytest.approx(0.05)
+
+
+def test_a_life_without_forgetting_and_one_of_a_single_task():
+    kept = st.lifelong_measures(np.tril(np.ones((4, 4))), np.zeros(4))
+    assert list(kept.values()) == [1, 0, 0, 0]
+    with pytest.raises(ValueError, match="fewer than two tasks"):
+        st.lifelong_measures([[0.5]], [0.1])

@@ -1,4 +1,8 @@
-"""Audits: stored runs are computed again and must come out the same. Where they do, a stamp says so."""
+"""Audits: stored runs are computed again and must come out the same. Where they do, a stamp says so.
+
+Linear algebra rounds differently on other processors, so a machine of another family cannot give stored bytes back.
+There the code that made the runs computes some of them again (`audit --values`), and today's is held against those.
+"""
 
 import json
 from collections import Counter
@@ -9,9 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from lifelong_lib.reproduction.configurations import canonical
-from lifelong_lib.reproduction.files import sha256
+from lifelong_lib.reproduction.files import require, sha256
+from lifelong_lib.reproduction.fingerprint import changes
 from lifelong_lib.reproduction.grid import Grid
-from lifelong_lib.reproduction.machine import commit
+from lifelong_lib.reproduction.machine import commit, versions
 from lifelong_lib.reproduction.packed import Run, group_of
 from lifelong_lib.reproduction.store import Store
 
@@ -19,25 +24,40 @@ from lifelong_lib.reproduction.store import Store
 def audit(grid: Grid, results: Path, workers: int, options: Mapping) -> list[dict]:
     """A row for each run of the grid that was computed again, by name: {run, same, differs, compared, stale, made_on}.
 
-    options["audit"]: their number, drawn from all runs under `results` or, with options["stamp"], from this grid alone.
+    options["audit"]: their number, drawn from all runs under `results` or, with options["stamp"] or ["values"], from
+    this grid alone. options["values"]: a folder that keeps what was computed. options["beside"]: such a folder, which
+    the code that made the stored runs has filled on this machine; it stands in the place of the stored values.
     Values whose names begin with `seconds` are measured times and not compared.
     """
     number, rows = options["audit"], []
-    share = _spread(grid, number) if options.get("stamp") else _share(grid, results, number)
-    for key, values, _ in grid.computed(share, workers, options):
-        stored = grid.runs[key]
-        compared, differs = differences(stored.values, values)
+    alone = options.get("stamp") or options.get("values")
+    share = _spread(grid, number) if alone else _share(grid, results, number)
+    known = grid.runs
+    if options.get("beside"):
+        if not grid.stale:
+            return []
+        known = _made_here(grid, _store_in(options["beside"], grid, results), number)
+        share = list(known)
+    for key, values, seconds in grid.computed(share, workers, options):
+        compared, differs = differences(known[key].values, values)
         rows.append({"run": f"{grid.name}/{key}", "same": not differs, "differs": differs, "compared": compared,
-                     "stale": key in grid.stale, "made_on": stored.versions.get("processor", "one unknown")})
+                     "stale": key in grid.stale, "made_on": known[key].versions.get("processor", "one unknown")})
+        if options.get("values"):
+            task = grid.tasks[key]
+            run = Run(task.config, task.seed, values, seconds, task.depends, versions())
+            _store_in(options["values"], grid, results).add(run)
     return sorted(rows, key=lambda row: row["run"])
 
 
-def stamped(grid: Grid, rows: list[dict]) -> dict[str, Run]:
+def stamped(grid: Grid, rows: list[dict], beside: bool = False) -> dict[str, Run]:
     """All stored runs of a grid whose audit found no difference: stale ones count as made by today's code from now on.
 
-    Their stamp says how many runs were computed again, and at which commit.
+    Their stamp says how many runs were computed again, at which commit, and whether `beside` the code that made them.
     """
-    stamp = f"audited {len(rows)} of {len(grid.tasks)} at commit {commit()}"
+    how = " beside the code that made them, on one machine" if beside else ""
+    stamp = f"audited {len(rows)} of {len(grid.tasks)}{how} at commit {commit()}"
+    if not any(row["compared"] for row in rows):
+        stamp += ", with nothing to compare but measured times"
     new = {key: replace(grid.runs[key], made_by=grid.tasks[key].depends, stamp=stamp) for key in grid.stale}
     return grid.stored | new
 
@@ -47,6 +67,21 @@ def differences(old: Mapping, new: Mapping) -> tuple[int, list[str]]:
     names = sorted(name for name in old.keys() | new.keys() if not name.startswith("seconds"))
     found = {name: _difference(old.get(name), new.get(name)) for name in names}
     return len(names), [f"{name} {said}" for name, said in found.items() if said]
+
+
+def _store_in(folder: str, grid: Grid, results: Path) -> Store:
+    return Store(Path(folder) / results.name / grid.name, grid.chapter, grid.name)
+
+
+def _made_here(grid: Grid, store: Store, number: int) -> dict[str, Run]:
+    """`number` runs of the grid that `store` has. Raises ReproductionError if they are fewer, or of other code."""
+    found = {key: run for key, run in store.read(keep=True).items() if key in grid.tasks}
+    require(len(found) >= min(number, len(grid.tasks)),
+            f"{store.folder} has {len(found)} runs of '{grid.name}', not {number}: fill it with audit --values")
+    for key, run in found.items():
+        others = changes(grid.runs[key].made_by, run.made_by)
+        require(not others, f"{store.folder} is not of the code that made the stored {key}: {', '.join(others)}")
+    return dict(list(found.items())[:number])
 
 
 def _difference(old, new) -> str:

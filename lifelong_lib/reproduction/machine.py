@@ -14,12 +14,18 @@ PACKAGES = ("numpy", "scipy", "scikit-learn", "torch", "gymnasium", "pybullet", 
 
 
 def commit() -> str:
-    """The commit that the repository is at, and whether files differ from it."""
-    describe = ["git", "-C", str(ROOT), "describe", "--always", "--exclude=*", "--abbrev=40", "--dirty= with changes"]
+    """The commit that the repository is at, and whether files other than results and figures differ from it."""
+    code = ("--", ":/", ":(exclude,top)data/results", ":(exclude,top)figures")
     try:
-        return subprocess.run(describe, env=surroundings(), capture_output=True, text=True, check=True).stdout.strip()
+        changed = _git("status", "--porcelain", "--untracked-files=no", *code)
+        return _git("rev-parse", "HEAD") + (" with changes" if changed else "")
     except (OSError, subprocess.CalledProcessError):
         return "unknown (no git history here)"
+
+
+def _git(*words: str) -> str:
+    command = ["git", "-C", str(ROOT), *words]
+    return subprocess.run(command, env=surroundings(), capture_output=True, text=True, check=True).stdout.strip()
 
 
 def versions(*more: str) -> dict[str, str]:

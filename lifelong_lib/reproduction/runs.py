@@ -36,8 +36,8 @@ class NotStored(ReproductionError):
 class Chapter:
     """A notebook's parameters.
 
-    Commands pass their checked options backend, address, fresh, plan, audit (a number) and stamp as JSON in the
-    variable LIFELONG_OPTIONS; a notebook that was opened by hand has none.
+    Commands pass their checked options backend, address, fresh, plan, audit (a number), stamp, values and beside as
+    JSON in the variable LIFELONG_OPTIONS; a notebook that was opened by hand has none.
     """
 
     number: int
@@ -181,7 +181,7 @@ def _audit(chapter, grid, store) -> dict[str, Run]:
     if chapter.options.get("stamp") and grid.stale and all(row["same"] for row in rows):
         if not store.packed:  # loose runs would count as newer than what is stamped
             store.pack(grid.stored)
-        grid = replace(grid, stored=stamped(grid, rows))
+        grid = replace(grid, stored=stamped(grid, rows, "beside" in chapter.options))
         store.pack(grid.stored)
     grid.summary(audited=rows).write(chapter.folder)
     return grid.runs

@@ -119,3 +119,26 @@ def growth_exponent(x, y):
 def rank_correlation(x, y):
     """Return Spearman's rank correlation of `x` (n,) with each row of `y` (..., n), (...); nan if a side is flat."""
     return stats.pearsonr(stats.rankdata(x), stats.rankdata(y, axis=-1), axis=-1).statistic
+
+
+def lifelong_measures(accuracy, untrained):
+    """Return what a life of T tasks came to, by name, each (...), from `accuracy` (..., T, T) and `untrained` (..., T).
+
+    `accuracy[i, j]`: on task j when task i has been learned; `untrained[j]`: before any was. As Lopez-Paz and Ranzato
+    (2017) define them, "average accuracy" is over all tasks at the end, "backward transfer" what later tasks changed of
+    it since each was learned, "forward transfer" what earlier tasks gave each before it was learned; "forgetting"
+    (Chaudhry et al. 2018) is how far each fell from the best it had been before the last task. The last task has none
+    of the second and fourth, the first none of the third; a life needs two tasks, otherwise ValueError is raised.
+    """
+    accuracy = np.asarray(accuracy, dtype=float)
+    if accuracy.shape[-1] < 2:
+        raise ValueError("a life of fewer than two tasks has no transfer and no forgetting")
+    learned = np.diagonal(accuracy, axis1=-2, axis2=-1)  # each when it was the latest
+    before = np.diagonal(accuracy, offset=1, axis1=-2, axis2=-1)  # the second to last, each when it was to come next
+    end, best = accuracy[..., -1, :], accuracy[..., :-1, :].max(axis=-2)
+    return {
+        "average accuracy": end.mean(axis=-1),
+        "forgetting": (best - end)[..., :-1].mean(axis=-1),
+        "forward transfer": (before - np.asarray(untrained)[..., 1:]).mean(axis=-1),
+        "backward transfer": (end - learned)[..., :-1].mean(axis=-1),
+    }
