@@ -25,7 +25,7 @@ from lifelong_lib.reproduction.grid import read_summaries
 from lifelong_lib.reproduction.labels import VERDICTS, order
 from lifelong_lib.reproduction.notebooks import made_ids, named_in_calls
 from lifelong_lib.reproduction.report import verdict_counts
-from lifelong_lib.reproduction.tables import Table
+from lifelong_lib.reproduction.tables import Table, readable
 
 CONFIGURATION = """
 project = html_title = "Lifelong reinforcement learning on mobile robots, reproduced"
@@ -129,12 +129,22 @@ def _front_page(folder: Path, reference: Path, claims: list[dict], places: dict)
     return "\n\n".join(parts)
 
 
+def _part(claim: dict) -> str:
+    """The weakest deciding part, whose numbers stand for the claim."""
+    return html.escape(claim.get("test", "").rpartition(": ")[0])
+
+
+def _measured(claim: dict) -> str:
+    low_high = ", ".join(map(readable, claim.get("interval") or []))
+    return readable(claim.get("measured")) + (f" ({low_high})" if low_high else "")
+
+
 def _claims_page(claims: list[dict], places: dict) -> str:
     rows = [{"claim": _link(claim["id"], places, claim["id"]), "statement": html.escape(claim["statement"]),
-             "verdict": _badge(claim["verdict"], ""), "because": html.escape(claim.get("because", "")),
-             "p": claim.get("p"), "with its cause switched off": claim.get("control_verdict")} for claim in claims]
-    rules = "The rules of judging are on the page of [deviations](deviations.md)."
-    return "\n\n".join(["# The claims", _counts(claims), rules, repr(Table(rows)) if rows else "", ""])
+             "weakest part": _part(claim), "thesis": claim.get("thesis"), "measured (interval)": _measured(claim),
+             "seeds": claim.get("n"), "p": claim.get("p"), "verdict": _badge(claim["verdict"], ""),
+             "with its cause switched off": claim.get("control_verdict")} for claim in claims]
+    return "\n\n".join(["# The claims", _counts(claims), repr(Table(rows)) if rows else "", ""])
 
 
 def _missing_page(claims: list[dict]) -> str:
@@ -146,7 +156,7 @@ def _missing_page(claims: list[dict]) -> str:
     for claim in [claim for claim in claims if claim["verdict"] != "holds"]:
         why = [text for title, text in findings.items() if claim["id"] in re.findall(r"C\d+\.\d+", title)]
         parts += [f"## {claim['id']}: {claim['verdict']}", html.escape(claim["statement"]),
-                  html.escape(claim.get("because", "")),
+                  f"{_part(claim)} (thesis: {claim.get('thesis')}): {_measured(claim)}. {claim.get('remark', '')}",
                   *(why or ["Not explained yet."] * (claim["verdict"] != "not tested"))]
     parts += [f"## {title}\n{text}" for title, text in findings.items() if not re.match(r"C\d", title)]
     return "\n\n".join(parts)
