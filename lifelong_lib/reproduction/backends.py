@@ -89,6 +89,10 @@ def _arrays(values) -> dict[str, np.ndarray]:
 @contextlib.contextmanager
 def _loky(workers):
     """Worker processes on this machine, kept for the next grid, stopped at once after an error or Ctrl-C."""
+    # After Ctrl-C loky's resource tracker, a process of its own, may warn of what the workers have tidied up already.
+    filters = os.environ.get("PYTHONWARNINGS", "")
+    if "ignore:resource_tracker" not in filters:
+        os.environ["PYTHONWARNINGS"] = f"{filters},ignore:resource_tracker".strip(",")
     pool, failed = get_reusable_executor(workers, timeout=60, initializer=_prepare_worker), True
     try:
         yield pool, workers
