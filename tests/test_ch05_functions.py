@@ -105,7 +105,7 @@ def test_the_last_quarter_is_of_the_points_of_a_curve():
     last_quarter = load(5, "last_quarter").last_quarter
     assert last_quarter(np.arange(8.0)[None]).tolist() == [6.5]
     assert last_quarter(np.array([[[1.0, 10], [2, 20]]])).tolist() == [[2, 20]]  # never nothing
-    assert last_quarter(np.arange(21.0)[None]).tolist() == [18]  # 16 to 20
+    assert last_quarter(np.arange(21.0)[None]).tolist() == [17.5]  # 15 to 20: from 18,750 of 25,000 on
 
 
 PAIRS = [("left", "challenge"), ("challenge", "left"), ("left", "left2")]
@@ -211,6 +211,12 @@ def test_leads_of_multi_lanes_are_in_success_and_in_shares_of_what_could_be_kept
     # Left2 and Challenge keep 0.4 of 0.8, the others 0.1 of 0.4.
     assert leads["retained at Left2 and Challenge minus at single lanes"] == pytest.approx([0.2 - 0.1 / 3])
     assert leads["the same in shares of what could be retained"] == pytest.approx([0.5 - 0.25])
+
+
+def test_what_is_retained_where_nothing_could_be_does_not_become_a_large_share():
+    multi, room = np.array([True, False]), np.array([[0.5, -0.3], [0.5, 0.3]])  # copies as good as the first task
+    leads = load(5, "leads_of_multi_lanes", multi=multi, room=room).leads_of_multi_lanes(np.array([[0.1, -0.01]] * 2))
+    assert leads["the same in shares of what could be retained"] == pytest.approx([0.2 + 0.5] * 2)
 
 
 # ----------------------------------------------------------------------------------------------------- the recording
