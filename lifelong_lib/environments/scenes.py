@@ -23,6 +23,15 @@ def film(frames: list[tuple], origin: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return np.array(own), crowd, np.stack([grid(others, origin) for _, others in frames])
 
 
+def trial_shown(env) -> dict[str, dict]:
+    """What a recording shows of the trial that a junction has just driven while its simulation ``noted`` all cars:
+    the own car's boxes, the crowd of the others, images of what would be seen, and the lanes as fixed lines.
+    """
+    own, others, images = film(env.sumo.noted, env.origin)
+    return {"boxes": {"own car": car_boxes(own)}, "crowds": {"traffic": car_boxes(others)}, "images": {"input": images},
+            "fixed": on_the_ground(env.roads.lanes)}  # fmt: skip
+
+
 def car_boxes(cars: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Boxes of poses (..., 4): centres (..., 3), half sizes (3,) and quaternions (..., 4) as xyzw."""
     x, y, heading, _ = np.moveaxis(cars, -1, 0)

@@ -1,0 +1,237 @@
+"""Chapter 6, lives at the junctions: functions that make memories and decide claims, on numbers made by hand."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from notebook_functions import judge, load, runs
+
+from lifelong_lib.learners.q_learning import ReplayBuffer
+from lifelong_lib.transfer.replay import CoverageMemory, EpisodicMemory, PairOfBuffers
+
+NAMES = ["right", "left", "left2", "forward", "challenge"]
+ORDER = "forward challenge left left2 right"
+RNG = np.random.default_rng(0)
+
+
+# ----------------------------------------------------------------------------------------------------------- memories
+
+def memory(strategy, ranking=None, errors=None, **more):
+    config = {"strategy": strategy, "kept": 6, "recent": 3, "refreshed": False, "spread": 0.5, "eta": 0.1} | more
+    space = load(6, "make_memory", "ranking_of", "least_surprise", "latest")
+    return space.make_memory(config, (1,), np.random.default_rng(0), ranking, [] if errors is None else errors)
+
+
+def trial(*returns):
+    points, nothing = np.zeros((len(returns) + 1, 1), np.float32), np.zeros(len(returns), int)
+    return SimpleNamespace(images=points, masks=np.ones((len(points), 2)), actions=nothing, rewards=nothing,
+                           steps=nothing, returns=np.array(returns, float), info={})
+
+
+class Guess:
+    """A network that estimates all returns to be zero."""
+
+    @staticmethod
+    def values(images):
+        return np.zeros((len(images), 2))
+
+
+@pytest.mark.parametrize("strategy, kind", [
+    ("surprise", EpisodicMemory), ("reward", EpisodicMemory), ("matching", EpisodicMemory), ("latest", EpisodicMemory),
+    ("least surprise", EpisodicMemory), ("coverage", CoverageMemory)])
+def test_what_is_selected_stands_beside_the_latest_also_while_both_are_empty(strategy, kind):
+    pair = memory(strategy)
+    assert isinstance(pair, PairOfBuffers) and type(pair.long_term) is kind
+    assert (len(pair.long_term.returns), len(pair.recent.returns)) == (6, 3)
+    assert type(memory(strategy, recent=0)) is kind  # the long-term memory alone
+
+
+@pytest.mark.parametrize("strategy", ["FIFO", "unlimited"])
+def test_without_selection_there_is_one_buffer(strategy):
+    assert type(memory(strategy, kept=0, recent=7)) is ReplayBuffer and len(memory(strategy, recent=7).returns) == 7
+
+
+@pytest.mark.parametrize("strategy, stays", [
+    ("surprise", [4, 5, 6, 7, 8, 9]), ("least surprise", [0, 1, 2, 3, 4, 5]), ("latest", [9, 8, 7, 6, 5, 4])])
+def test_what_a_memory_keeps(strategy, stays):
+    errors, order = [], range(10)
+    held = memory(strategy, errors=errors)
+    held.add(trial(*order), Guess)
+    assert sorted(held.long_term.returns) == sorted(stays)
+    assert np.concatenate(errors).tolist() == list(order)  # the network estimates zero
+    assert sorted(held.recent.returns) == [7, 8, 9]
+
+
+def test_the_latest_are_kept_over_trials_whatever_they_are_worth():
+    held = memory("latest")
+    for returns in ([9, 9, 9], [1, 2], [3, 4, 5, 6]):
+        held.add(trial(*returns), Guess)
+    assert sorted(held.long_term.returns) == [1, 2, 3, 4, 5, 6]
+
+
+def test_a_ranking_of_ones_own_takes_the_place_of_the_strategys():
+    held = memory("no such strategy", ranking=lambda trial, network, rng: -trial.returns)
+    held.add(trial(*range(10)), Guess)
+    assert sorted(held.long_term.returns) == [0, 1, 2, 3, 4, 5]
+
+
+def test_fading_prefers_the_young_by_a_factor_of_e_for_ten_thousand():
+    ranking = load(6, "fading").fading()
+    old, young = ranking(trial(*[0] * 20_000), None, RNG), ranking(trial(*[0] * 20_000), None, RNG)
+    assert np.mean(young) - np.mean(old) == pytest.approx(2, abs=0.05)  # 20,000 younger
+    share = np.mean(young[:1000] > old[:1000])  # a Gumbel beats another that is 2 behind with e^2 / (1 + e^2)
+    assert share == pytest.approx(np.exp(2) / (1 + np.exp(2)), abs=0.05)
+
+
+def test_the_share_that_a_memory_keeps_of_the_first_and_the_last():
+    space = load(6, "share_kept", "latest", "as_trial")
+    assert space.share_kept(space.latest, RNG, memories=2) == (0, 1)
+    constant = space.share_kept(lambda: lambda trial, network, rng: np.zeros(len(trial.returns)), RNG, memories=400)
+    assert constant == pytest.approx((0.1, 0.1), abs=0.01)  # equal scores: a random key decides
+
+
+@pytest.mark.parametrize("kind, arrivals", [("ranked", [0, 3, 4, 9, 7, 0]), ("latest ones", None)])
+def test_whose_experiences_a_memory_holds(kind, arrivals):
+    space = load(6, "held_by_junction", names=NAMES)
+    stored = SimpleNamespace(added=10, arrivals=np.array(arrivals)) if arrivals else SimpleNamespace(added=10)
+    held = type("Held", (SimpleNamespace,), {"__len__": lambda self: 5})(**vars(stored))
+    counts = space.held_by_junction(held, [0, 4, 8], ["forward", "right", "forward"])  # experiences 0-3, 4-7, 8 on
+    # Ranked: 0, 3 and 9 are of Forward, 4 and 7 of Right (the sixth place is empty). Latest ones: 5 to 9.
+    assert counts.tolist() == ([2, 0, 0, 3, 0] if arrivals else [3, 0, 0, 2, 0])
+    pair = SimpleNamespace(long_term=held)
+    assert space.held_by_junction(pair, [0, 4, 8], ["forward", "right", "forward"]).tolist() == counts.tolist()
+
+
+def test_errors_in_fifty_stretches():
+    summary = load(6, "summary_of").summary_of(np.repeat([0.25, 0.75], 100))
+    assert summary.shape == (50, 2) and summary[:25].tolist() == [[0.25, 0]] * 25
+    assert summary[25:].tolist() == [[0.75, 1]] * 25
+    assert load(6, "summary_of").summary_of(np.array([0.6])).tolist() == [[0.6, 1]]
+
+
+# ------------------------------------------------------------------------------------------------------------- claims
+
+def life_of(start, *after):
+    """Results of a life from success at the five junctions, in ORDER, at the start and after each of them."""
+    columns = [ORDER.split().index(name) for name in NAMES]
+    ends = np.array(after, float)[:, columns]
+    return {"scores": [np.array([start], float)[:, columns]] * 3, "ends": [ends] * 3}
+
+
+LEARNS = [[0.2 if i < j else 0.9 for j in range(5)] for i in range(5)]  # each junction, for good
+FORGETS = [[0.9 if i == j else 0.2 for j in range(5)] for i in range(5)]  # knows the present one only
+
+
+def space_of(**found):
+    """The functions of C6.1 to C6.4, with lives by strategy, and networks that learned one junction: 0.9 each."""
+    configs = {name: {"strategy": name} for name in found}
+    lives = runs(*((configs[name], result) for name, result in found.items()))
+    return load(6, "by_order", "of", "measures_of", "at_the_end", "unlimited_parts", "change_during",
+                "forgetting_parts", "backward", "near_unlimited", names=NAMES, order=ORDER, lives=lives,
+                lives_of=configs, alone=np.full((3, 5), 0.9))  # fmt: skip
+
+
+def typical(**other):
+    good, bad = life_of([0.2] * 5, *LEARNS), life_of([0.2] * 5, *FORGETS)
+    found = dict.fromkeys(("unlimited", "coverage", "matching"), good)
+    return space_of(**found | dict.fromkeys(("FIFO", "surprise", "reward", "latest"), bad) | other)
+
+
+def test_measures_are_in_the_order_of_the_life():
+    space = typical()
+    assert space.by_order(np.array([1, 2, 3, 4, 5]), ORDER).tolist() == [4, 5, 2, 3, 1]
+    keeps, loses = space.measures_of("unlimited"), space.measures_of("FIFO")
+    assert keeps["backward transfer"] == pytest.approx([0] * 3) and keeps["average accuracy"] == pytest.approx([0.9] * 3)
+    assert loses["backward transfer"] == pytest.approx([-0.7] * 3) and loses["forgetting"] == pytest.approx([0.7] * 3)
+    assert loses["average accuracy"] == pytest.approx([(0.9 + 4 * 0.2) / 5] * 3)
+
+
+def test_what_a_junction_does_to_others():
+    space = typical()
+    # Challenge is second: of the single lanes Forward falls from 0.9 to 0.2, Left and Right stay at 0.2.
+    assert space.change_during("FIFO", "challenge", ("right", "left", "forward")) == pytest.approx([-0.7 / 3] * 3)
+    # Right is last: of the others Left2 falls. And the first junction's change is from the start.
+    assert space.change_during("FIFO", "right", NAMES[1:]) == pytest.approx([-0.7 / 4] * 3)
+    assert space.change_during("FIFO", "forward", ["forward"]) == pytest.approx([0.7] * 3)
+
+
+@pytest.mark.parametrize("identity", ["C6.1", "C6.2", "C6.3", "C6.4"])
+def test_the_thesiss_world_holds_with_a_failing_control(identity, tmp_path):
+    claim = judge(6, identity, typical(), tmp_path)
+    assert claim.verdict == "holds" and claim.control_verdict == "contradicted"
+
+
+GOOD, BAD = life_of([0.2] * 5, *LEARNS), life_of([0.2] * 5, *FORGETS)
+
+
+@pytest.mark.parametrize("identity, strategy, life", [
+    ("C6.1", "unlimited", BAD), ("C6.2", "FIFO", GOOD), ("C6.3", "surprise", GOOD), ("C6.3", "reward", GOOD),
+    ("C6.3", "coverage", BAD), ("C6.3", "matching", BAD), ("C6.4", "matching", BAD), ("C6.4", "coverage", BAD)])
+def test_each_part_can_contradict(identity, strategy, life, tmp_path):
+    assert judge(6, identity, typical(**{strategy: life}), tmp_path).verdict == "contradicted"
+
+
+def contents(**held):
+    """The functions of C6.7 and C6.8, with what memories hold at the end, in the order of NAMES."""
+    configs = {name: {"strategy": name} for name in held}
+    lives = runs(*((configs[name], {"held": [np.array([[1] * 5, stored]) for stored in each],
+                                    "ends": [np.full((5, 5), 0.5)] * len(each)}) for name, each in held.items()))
+    return load(6, "by_order", "of", "shares_held", "spread_held", "unfairness", "old_held", "at_the_end", "VARIES",
+                "pattern_parts", "RANKED", names=NAMES, order=ORDER, hard=[2, 4], lives=lives, lives_of=configs)
+
+
+FAIR, LAST = [[18, 18, 22, 18, 24]] * 3, [[100, 0, 0, 0, 0]] * 3
+SURPRISED = [[4, 10, 40, 3, 43]] * 3
+VARIED = [[40, 10, 20, 5, 25], [5, 40, 5, 25, 25], [20, 20, 20, 20, 20]]
+
+
+def test_shares_of_a_memory_by_hand():
+    space = contents(one=[[10, 0, 30, 20, 40]], two=[[0, 0, 50, 0, 50], [50, 0, 0, 0, 50]])
+    assert space.shares_held("one") == pytest.approx(np.array([[0.1, 0, 0.3, 0.2, 0.4]]))
+    assert space.unfairness("one") == pytest.approx([0.2])
+    assert space.old_held("one") == pytest.approx([0.2 + 0.4 + 0])  # Forward, Challenge, Left
+    assert space.spread_held("two") == pytest.approx([0.1, 0.1])  # 0.25 off at two of five
+
+
+@pytest.mark.parametrize("change, verdict", [
+    ({}, "holds"), ({"surprise": FAIR}, "contradicted"), ({"matching": LAST}, "contradicted"),
+    ({"reward": LAST}, "contradicted"), ({"coverage": FAIR, "matching": VARIED}, "contradicted")])
+def test_the_pattern_of_the_table(change, verdict, tmp_path):
+    held = {"surprise": SURPRISED, "reward": FAIR, "coverage": VARIED, "matching": FAIR, "latest": LAST}
+    claim = judge(6, "C6.8", contents(**held | change), tmp_path)
+    assert claim.verdict == verdict
+    if not change:
+        assert claim.control_verdict == "contradicted"
+
+
+def test_refreshing_empties_and_what_the_thesis_mentions_is_worse(tmp_path):
+    held = dict.fromkeys(("surprise", "matching", "least surprise", "reward with more noise"), FAIR)
+    space = contents(**held | {"refreshed surprise": LAST, "long-term memory alone": FAIR})
+    claim = judge(6, "C6.7", space, tmp_path)
+    assert claim.verdict == "contradicted" and claim.control_verdict == "contradicted"  # all lives end at 0.5 here
+    label, *successes = claim.measured.values()
+    assert label == pytest.approx(0 - 0.6) and successes == [0, 0, 0]
+    success = {"surprise": 0.6, "refreshed surprise": 0.3, "long-term memory alone": 0.5, "least surprise": 0.4}
+    space.at_the_end = lambda name: np.full(3, success.get(name, 0.8))
+    assert judge(6, "C6.7", space, tmp_path).verdict == "holds"
+
+
+def test_unbalanced_lives_by_hand():
+    ends = {"coverage": [(0.8, 0.5), (0.8, 0.6)], "matching": [(0.4, 0.5), (0.8, 0.5)]}  # Right, Challenge at the end
+    found = runs(*(({"strategy": name}, {"ends": [np.array([[0, 0], pair]) for pair in each]})
+                   for name, each in ends.items()))
+    configs = {name: {"strategy": name} for name in ends}
+    parts = load(6, "unbalanced_parts", two_tasks=found, unbalanced_of=configs).unbalanced_parts("coverage", "matching")
+    right, challenge, apart = parts.values()
+    assert right == pytest.approx([0.4, 0]) and challenge == pytest.approx([0, 0.1]) and apart == pytest.approx([0.2] * 2)
+
+
+def test_the_smallest_share_of_large_errors_in_a_fifth_of_a_life():
+    errors = np.zeros((1, 10, 2))
+    errors[0, :, 1] = [0.5, 0.4, 0.1, 0.1, 0.02, 0.04, 0.2, 0.2, 0.3, 0.3]
+    assert load(6, "least_share").least_share(errors) == pytest.approx([0.03])
+
+
+def test_what_is_drawn_of_a_space_is_worth_what_it_says():
+    value_of = load(6, "value_of").value_of
+    assert value_of(np.array([[0.5, 0.4], [0.5, 0.81], [-0.5, -0.1], [0, 0]])).tolist() == [1, 0, -1, 0]
