@@ -43,9 +43,7 @@ def audit(grid: Grid, results: Path, workers: int, options: Mapping) -> list[dic
         rows.append({"run": f"{grid.name}/{key}", "same": not differs, "differs": differs, "compared": compared,
                      "stale": key in grid.stale, "made_on": known[key].versions.get("processor", "one unknown")})
         if options.get("values"):
-            task = grid.tasks[key]
-            run = Run(task.config, task.seed, values, seconds, task.depends, versions())
-            _store_in(options["values"], grid, results).add(run)
+            _store_in(options["values"], grid, results).add(grid.tasks[key].run(values, seconds, versions()))
     return sorted(rows, key=lambda row: row["run"])
 
 

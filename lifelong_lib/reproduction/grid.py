@@ -1,7 +1,6 @@
 """A grid: which runs are wanted, what each draws from and depends on, how much of it is stored, and its summary."""
 
 import json
-import math
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -24,9 +23,12 @@ class Task:
 
     config: dict
     seed: int
-    entropy: int  # of its SeedSequence
-    inputs: dict  # name -> array
+    call: Call
     depends: dict  # part of the code, input or file -> digest
+
+    def run(self, values: dict, seconds: float, versions: dict) -> Run:
+        """The run that came to these values, made now."""
+        return Run(self.config, self.seed, values, seconds, self.depends, versions)
 
 
 @dataclass(frozen=True)
@@ -63,11 +65,7 @@ class Grid:
 
     def computed(self, keys: Iterable[str], workers: int, options: Mapping) -> Iterator[tuple]:
         """(name, values, wall seconds) of these runs, computed now, in order of completion."""
-        calls = {}
-        for key in keys:
-            task = self.tasks[key]
-            label = f"experiment '{self.name}' failed at {canonical(task.config)}, seed {task.seed}"
-            calls[key] = Call(label, task.config, task.entropy, task.inputs)
+        calls = {key: self.tasks[key].call for key in keys}
         return completed(self.experiment, calls, options.get("backend", "loky"), workers, options.get("address", ""))
 
     def summary(self, **more) -> "Summary":
@@ -132,18 +130,14 @@ def make_tasks(chapter: int, name: str, configs, seeds, depends: dict, inputs=No
         drawn_from, parts = _drawn_from(name, config, arrays, luck), depends | digests(arrays)
         for seed in seeds:
             entropy = int(sha256(json.dumps([chapter, name, drawn_from, seed])), 16)
-            tasks[run_key(config, seed)] = Task(dict(config), seed, entropy, arrays, parts)
+            label = f"experiment '{name}' failed at {canonical(config)}, seed {seed}"
+            tasks[run_key(config, seed)] = Task(dict(config), seed, Call(label, config, entropy, arrays), parts)
     return tasks
 
 
 def whole(value, least: int = 0) -> bool:
     """Whether a value is a whole number, `least` or more."""
     return isinstance(value, int) and not isinstance(value, bool) and value >= least
-
-
-def seconds_needed(count: int, each: float | None, workers: int) -> float | None:
-    """Seconds that `count` runs of `each` seconds take; None if that is not known."""
-    return None if each is None else float(each) * math.ceil(count / workers)
 
 
 def _sorted_seeds(name, seeds) -> list[int]:

@@ -7,6 +7,7 @@ own SeedSequence on one thread, so where and in which order runs are computed ca
 
 import contextlib
 import json
+import math
 import os
 import sys
 from collections.abc import Callable
@@ -20,7 +21,7 @@ from lifelong_lib.reproduction.audits import audit, stamped
 from lifelong_lib.reproduction.configurations import canonical
 from lifelong_lib.reproduction.files import ROOT, ReproductionError, read_json, require
 from lifelong_lib.reproduction.fingerprint import checksums, fingerprint
-from lifelong_lib.reproduction.grid import Grid, make_tasks, seconds_needed, whole
+from lifelong_lib.reproduction.grid import Grid, make_tasks, whole
 from lifelong_lib.reproduction.machine import commit, versions
 from lifelong_lib.reproduction.packed import Run
 from lifelong_lib.reproduction.store import Store, warn
@@ -142,8 +143,7 @@ def _compute_and_store(chapter, grid, store, keys) -> dict[str, Run]:
     try:
         with contextlib.closing(results), _bar(title, len(keys)) as bar:
             for key, values, seconds in results:
-                task = grid.tasks[key]
-                done[key] = Run(task.config, task.seed, values, seconds, task.depends, installed)
+                done[key] = grid.tasks[key].run(values, seconds, installed)
                 store.add(done[key])
                 bar.update()
     except KeyboardInterrupt:
@@ -166,7 +166,8 @@ def _plan(chapter, grid) -> dict[str, Run]:
     rest = len(grid.missing) + (0 if kept else len(grid.stale))
     costs = read_json(ROOT / "figures" / "reference" / chapter.profile / "unit_costs.json", {})
     each = grid.summary().seconds_per_run or costs.get(f"{chapter.results.name}/{grid.name}")
-    grid.summary(seconds=seconds_needed(rest, each, chapter.workers)).write(chapter.folder)
+    seconds = None if each is None else float(each) * math.ceil(rest / chapter.workers)
+    grid.summary(seconds=seconds).write(chapter.folder)
     if rest:
         raise NotStored(f"{rest} of {len(grid.tasks)} runs of '{grid.name}' are missing or stale")
     return grid.runs
