@@ -81,9 +81,9 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     audit.add_argument("audit", type=positive, metavar="K")
     audit.add_argument("--stamp", action="store_true",
                        help="K runs of every grid; where all are identical, its stale runs count as made by this code")
-    audit.add_argument("--beside", type=Path, metavar="FOLDER",
+    audit.add_argument("--beside", type=os.path.abspath, metavar="FOLDER",
                        help="with --stamp: compare with what the code that made the runs computed here with --values")
-    audit.add_argument("--values", type=Path, metavar="FOLDER",
+    audit.add_argument("--values", type=os.path.abspath, metavar="FOLDER",
                        help="keep what K runs of every grid come to, for --beside")
     audit.set_defaults(seeds=None, fresh=False, p=[], plan=False, why=None)
     add("compare", compare_command, "compare the last run with the committed reference", profile)
@@ -236,9 +236,8 @@ def look(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, 
             left -= share
             if share or not options.audit:
                 print(f"looking into chapter {number}", file=sys.stderr, flush=True)
-                folders = {name: str(folder.resolve()) for name in ("values", "beside")
-                           if (folder := getattr(options, name))}  # fmt: skip
-                asked = kernel_options(options, audit=share, stamp=options.stamp, plan=not options.audit, **folders)
+                asked = kernel_options(options, audit=share, stamp=options.stamp, plan=not options.audit,
+                                       values=options.values, beside=options.beside)  # fmt: skip
                 notebooks.execute(path, typed[number] | {"output_dir": temporary}, Path(temporary), asked)
         return read_summaries(Path(temporary))
 
