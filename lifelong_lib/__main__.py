@@ -11,12 +11,13 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 try:
     from lifelong_lib.reproduction import notebooks, report
     from lifelong_lib.reproduction.children import surroundings
     from lifelong_lib.reproduction.files import ROOT, ReproductionError, read_json, require
-    from lifelong_lib.reproduction.grid import Summary, read_summaries
+    from lifelong_lib.reproduction.grid import read_reports
     from lifelong_lib.reproduction.machine import processor
     from lifelong_lib.reproduction.runs import PROFILES
 except ModuleNotFoundError as missing:
@@ -214,7 +215,7 @@ def audit_runs(options: argparse.Namespace, chosen: dict[int, Path], typed: dict
     return int(same < len(rows))
 
 
-def tell_stamps(grids: list[Summary]) -> int:
+def tell_stamps(grids: list[SimpleNamespace]) -> int:
     """Prints which grids are stamped; returns 1, and names them, if runs of some came out differently."""
     for grid in grids:
         for stamp, count in grid.stamps.items():
@@ -226,7 +227,7 @@ def tell_stamps(grids: list[Summary]) -> int:
     return 0
 
 
-def look(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, dict]) -> list[Summary]:
+def look(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, dict]) -> list[SimpleNamespace]:
     """Executes the notebooks into a throw-away folder; returns what run_grid said of each grid."""
     left = options.audit or 0
     with tempfile.TemporaryDirectory(prefix="lifelong-look-") as temporary:
@@ -239,7 +240,7 @@ def look(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, 
                 asked = kernel_options(options, audit=share, stamp=options.stamp, plan=not options.audit,
                                        values=options.values, beside=options.beside)  # fmt: skip
                 notebooks.execute(path, typed[number] | {"output_dir": temporary}, Path(temporary), asked)
-        return read_summaries(Path(temporary))
+        return read_reports(Path(temporary))
 
 
 def compare_command(options: argparse.Namespace) -> int:

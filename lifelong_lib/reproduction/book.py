@@ -23,7 +23,7 @@ from sphinx.util import logging
 from lifelong_lib.reproduction.children import last_words, surroundings
 from lifelong_lib.reproduction.files import ROOT, read_json, require
 from lifelong_lib.reproduction.fingerprint import SOURCES
-from lifelong_lib.reproduction.grid import read_summaries
+from lifelong_lib.reproduction.grid import read_reports
 from lifelong_lib.reproduction.labels import VERDICTS, order
 from lifelong_lib.reproduction.notebooks import made_ids, named_in_calls
 from lifelong_lib.reproduction.tables import readable
@@ -107,7 +107,7 @@ def _page(name: str, **more) -> str:
 
 def _shown(folder: Path, reference: Path, claims: list[dict], places: dict) -> Iterator[dict]:
     """What the first page shows of every figure and table, with the claims that rest on the same runs."""
-    rests = [set(grid.makes) for grid in read_summaries(folder)]
+    rests = [set(grid.makes) for grid in read_reports(folder)]
     compared = {row["id"]: row for row in read_json(folder / "comparison.json", {}).get("results", [])}
     for name in sorted((path.stem for path in folder.glob("[FT]*.csv")), key=order):
         heading, row = places.get(name, ("", ""))[1], compared.get(name, {})

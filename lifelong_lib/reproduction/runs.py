@@ -47,7 +47,7 @@ class Chapter:
     workers: int = 2
     output_dir: str = ""
     options: dict = field(default_factory=lambda: json.loads(os.environ.get("LIFELONG_OPTIONS", "{}")), init=False)
-    grids: dict = field(default_factory=dict, init=False)  # name -> Summary of what run_grid did
+    grids: dict = field(default_factory=dict, init=False)  # name -> report on what run_grid did
 
     def __post_init__(self):
         require(whole(self.number, 1) and self.number <= 8, f"chapter {self.number!r} is not one of 1 to 8")
@@ -131,8 +131,7 @@ def _complete(chapter, grid, store) -> dict[str, Run]:
     now = replace(grid, stored=grid.stored | done)
     if not store.packed:
         store.pack(now.stored)
-    chapter.grids[grid.name] = now.summary(computed=len(done), causes=grid.causes)
-    chapter.grids[grid.name].write(chapter.folder)
+    chapter.grids[grid.name] = now.report(chapter.folder, computed=len(done), causes=grid.causes)
     return now.runs
 
 
@@ -165,9 +164,9 @@ def _plan(chapter, grid) -> dict[str, Run]:
     kept = chapter.profile == "paper" and not chapter.options.get("fresh")
     rest = len(grid.missing) + (0 if kept else len(grid.stale))
     costs = read_json(ROOT / "figures" / "reference" / chapter.profile / "unit_costs.json", {})
-    each = grid.summary().seconds_per_run or costs.get(f"{chapter.results.name}/{grid.name}")
+    each = grid.seconds_per_run or costs.get(f"{chapter.results.name}/{grid.name}")
     seconds = None if each is None else float(each) * math.ceil(rest / chapter.workers)
-    grid.summary(seconds=seconds).write(chapter.folder)
+    grid.report(chapter.folder, seconds=seconds)
     if rest:
         raise NotStored(f"{rest} of {len(grid.tasks)} runs of '{grid.name}' are missing or stale")
     return grid.runs
@@ -184,7 +183,7 @@ def _audit(chapter, grid, store) -> dict[str, Run]:
             store.pack(grid.stored)
         grid = replace(grid, stored=stamped(grid, rows, "beside" in chapter.options))
         store.pack(grid.stored)
-    grid.summary(audited=rows).write(chapter.folder)
+    grid.report(chapter.folder, audited=rows)
     return grid.runs
 
 
