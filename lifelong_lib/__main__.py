@@ -11,12 +11,13 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 try:
     from lifelong_lib.reproduction import notebooks, report
     from lifelong_lib.reproduction.children import surroundings
     from lifelong_lib.reproduction.files import ROOT, ReproductionError, read_json, require
-    from lifelong_lib.reproduction.grid import Summary, read_summaries
+    from lifelong_lib.reproduction.grid import read_reports
     from lifelong_lib.reproduction.machine import processor
     from lifelong_lib.reproduction.runs import PROFILES
 except ModuleNotFoundError as missing:
@@ -81,9 +82,9 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     audit.add_argument("audit", type=positive, metavar="K")
     audit.add_argument("--stamp", action="store_true",
                        help="K runs of every grid; where all are identical, its stale runs count as made by this code")
-    audit.add_argument("--beside", type=Path, metavar="FOLDER",
+    audit.add_argument("--beside", type=os.path.abspath, metavar="FOLDER",
                        help="with --stamp: compare with what the code that made the runs computed here with --values")
-    audit.add_argument("--values", type=Path, metavar="FOLDER",
+    audit.add_argument("--values", type=os.path.abspath, metavar="FOLDER",
                        help="keep what K runs of every grid come to, for --beside")
     audit.set_defaults(seeds=None, fresh=False, p=[], plan=False, why=None)
     add("compare", compare_command, "compare the last run with the committed reference", profile)
@@ -214,7 +215,7 @@ def audit_runs(options: argparse.Namespace, chosen: dict[int, Path], typed: dict
     return int(same < len(rows))
 
 
-def tell_stamps(grids: list[Summary]) -> int:
+def tell_stamps(grids: list[SimpleNamespace]) -> int:
     """Prints which grids are stamped; returns 1, and names them, if runs of some came out differently."""
     for grid in grids:
         for stamp, count in grid.stamps.items():
@@ -226,7 +227,7 @@ def tell_stamps(grids: list[Summary]) -> int:
     return 0
 
 
-def look(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, dict]) -> list[Summary]:
+def look(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, dict]) -> list[SimpleNamespace]:
     """Executes the notebooks into a throw-away folder; returns what run_grid said of each grid."""
     left = options.audit or 0
     with tempfile.TemporaryDirectory(prefix="lifelong-look-") as temporary:
@@ -236,11 +237,10 @@ def look(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, 
             left -= share
             if share or not options.audit:
                 print(f"looking into chapter {number}", file=sys.stderr, flush=True)
-                folders = {name: str(folder.resolve()) for name in ("values", "beside")
-                           if (folder := getattr(options, name))}  # fmt: skip
-                asked = kernel_options(options, audit=share, stamp=options.stamp, plan=not options.audit, **folders)
+                asked = kernel_options(options, audit=share, stamp=options.stamp, plan=not options.audit,
+                                       values=options.values, beside=options.beside)  # fmt: skip
                 notebooks.execute(path, typed[number] | {"output_dir": temporary}, Path(temporary), asked)
-        return read_summaries(Path(temporary))
+        return read_reports(Path(temporary))
 
 
 def compare_command(options: argparse.Namespace) -> int:

@@ -9,9 +9,16 @@ from typing import NamedTuple
 
 import gymnasium as gym
 import numpy as np
+import torch
+from torch import nn
 
+from lifelong_lib.environments.crossing import COLUMNS, GO, MAX_STEPS, ROWS, grid
 from lifelong_lib.environments.dynamical_systems import SYSTEMS, draw_tasks
 from lifelong_lib.environments.gymnasium_envs import IDS, STEPS
+from lifelong_lib.environments.intersections import Intersection
+from lifelong_lib.environments.sumo import OPTIONS, WARM_UP, poses
+from lifelong_lib.learners.networks import Convolution
+from lifelong_lib.learners.q_learning import DQN, ReplayBuffer, Settings, Trial, q_network
 from lifelong_lib.transfer.dictionary import Dictionary
 from lifelong_lib.transfer.ella import ELLA
 
@@ -32,6 +39,7 @@ class Row(NamedTuple):
 
 def main() -> list[Row]:
     """Measure, print a line a promise, and return the rows."""
+    torch.set_num_threads(1)
     load, rows = os.getloadavg()[0], []
     ella = many_tasks(), dense_inverse("full", 3), dense_inverse("identity", 10)
     for row in chain(batched_roll_outs(), *ella, junction(), traci_loop(), q_update(), q_learning()):
@@ -120,10 +128,6 @@ def dense_inverse(hessians: str, limit: float, tasks: int = 40, columns: int = 1
 
 def junction(repetitions: int = 20):
     """A trial in SUMO of 100 waits of one step, each observed, against a simulation of as many steps left unread."""
-    from lifelong_lib.environments.crossing import MAX_STEPS
-    from lifelong_lib.environments.intersections import Intersection
-    from lifelong_lib.environments.sumo import WARM_UP
-
     env = Intersection("challenge")
 
     def trial():
@@ -144,10 +148,6 @@ def traci_loop(repetitions: int = 5):
 
     Needs the program `sumo` of the pinned release, which nothing else here does; without it there is no such row.
     """
-    from lifelong_lib.environments.crossing import MAX_STEPS, grid
-    from lifelong_lib.environments.intersections import Intersection
-    from lifelong_lib.environments.sumo import OPTIONS, WARM_UP, poses
-
     if not shutil.which("sumo"):
         print("no program `sumo` here (pip install eclipse-sumo==1.28.0): the row about TraCI is left out")
         return
@@ -180,27 +180,24 @@ def traci_loop(repetitions: int = 5):
 
 def torch_twin(network):
     """The same network of torch's own layers, which differentiate by themselves; images have their channels last."""
-    from torch import nn
+    class Axes(nn.Module):
+        """Images with their axes in another order."""
 
-    from lifelong_lib.learners.networks import Convolution
+        def __init__(self, *order):
+            super().__init__()
+            self.order = order
 
-    class ChannelsFirst(nn.Module):
         def forward(self, images):
-            return images.permute(0, 3, 1, 2)
+            return images.permute(self.order)
 
-    class ChannelsLast(nn.Module):
-        def forward(self, images):
-            return images.permute(0, 2, 3, 1).flatten(1)
-
-    is_image = len(network.shapes[0]) == 3
-    layers = [ChannelsFirst()] if is_image else []
+    layers = [Axes(0, 3, 1, 2)] if len(network.shapes[0]) == 3 else []
     for number, (layer, (matrix, bias)) in enumerate(zip(network.layers, network.parts, strict=True)):
         shape = network.shapes[number]
         if isinstance(layer, Convolution):
             twin = nn.Conv2d(shape[2], layer.nodes, layer.size, layer.stride)
             weights = matrix.view(layer.size, layer.size, shape[2], layer.nodes).permute(3, 2, 0, 1)
         else:
-            layers += [ChannelsLast()] if len(shape) == 3 else []
+            layers += [Axes(0, 2, 3, 1), nn.Flatten()] if len(shape) == 3 else []
             twin, weights = nn.Linear(len(matrix), layer.nodes), matrix.t()
         twin.weight.data, twin.bias.data = weights.clone(), bias[0].clone()
         layers += [twin, nn.LeakyReLU(network.slope)]
@@ -209,9 +206,6 @@ def torch_twin(network):
 
 def learner(**more):
     """A learner of the junctions with the settings of chapter 5's first search."""
-    from lifelong_lib.environments.crossing import COLUMNS, GO, ROWS
-    from lifelong_lib.learners.q_learning import DQN, ReplayBuffer, Settings, q_network
-
     knobs = {"rate": 1e-4, "damping": 1e-6, "decay": 0.95, "discount": 0.99, "epsilon": 0.05, "batch": 60, "warm_up": 1}
     shape = (ROWS, COLUMNS, 3)
     memory = ReplayBuffer(20_000, shape)
@@ -220,8 +214,6 @@ def learner(**more):
 
 def filled_memory(memory, count: int = 2000):
     """The memory, with experiences of random images."""
-    from lifelong_lib.learners.q_learning import Trial
-
     rng, none = np.random.default_rng(0), np.zeros(0)
     images = rng.random((count + 1, *memory.images.shape[1:]), np.float32)
     memory.add(Trial(images, none, np.arange(count) % 5, none, none, rng.random(count), {}))
@@ -230,9 +222,6 @@ def filled_memory(memory, count: int = 2000):
 
 def q_update(repetitions: int = 200):
     """An update of 60 experiences and a decision, against bare matrix products and against torch's own layers."""
-    import torch
-
-    torch.set_num_threads(1)
     ours = learner()
     memory, twin, batch = filled_memory(ours.memory), torch_twin(ours.network), ours.settings.batch
     optimiser = torch.optim.RMSprop(twin.parameters(), lr=1e-4, alpha=0.95, eps=1e-6)
@@ -266,13 +255,9 @@ def q_update(repetitions: int = 200):
 
 def q_learning(iterations: int = 1000, repetitions: int = 3):
     """Decision, environment and update against Stable-Baselines3's DQN: same network, batch, buffer and junction."""
-    import torch
-    from stable_baselines3 import DQN as Theirs
+    from stable_baselines3 import DQN as Theirs  # slow to import
     from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
-    from lifelong_lib.environments.intersections import Intersection
-
-    torch.set_num_threads(1)
     env, ours = Intersection("left"), learner(rate=0.0)  # what is learned would make trials longer or shorter
     twin, settings = torch_twin(ours.network), ours.settings
 
@@ -284,8 +269,8 @@ def q_learning(iterations: int = 1000, repetitions: int = 3):
         def forward(self, images):
             return self.layers(images)
 
-    rmsprop = {"optimizer_class": torch.optim.RMSprop, "optimizer_kwargs": {"alpha": 0.95, "eps": 1e-6}}
-    policy = {"features_extractor_class": Features, "net_arch": []} | rmsprop
+    policy = {"features_extractor_class": Features, "net_arch": [],
+              "optimizer_class": torch.optim.RMSprop, "optimizer_kwargs": {"alpha": 0.95, "eps": 1e-6}}  # fmt: skip
     theirs = Theirs("MlpPolicy", env, settings.rate, 20_000, learning_starts=1, batch_size=settings.batch,
                     train_freq=1, gradient_steps=1, policy_kwargs=policy, exploration_initial_eps=settings.epsilon,
                     exploration_final_eps=settings.epsilon, device="cpu", seed=0)  # fmt: skip

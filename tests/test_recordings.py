@@ -25,9 +25,9 @@ def pendulum(angle, colour, **more):
     position = 0.1 * np.sin(angle)
     foot = np.stack([position, 0 * angle, 0 * angle], axis=1)
     tip = foot + np.stack([np.sin(angle), 0 * angle, np.cos(angle)], axis=1)
-    turns = np.tile(QUARTER_TURN, (len(angle), 1))
+    still, turns = np.tile([0, 0, 0, 1.0], (len(angle), 1)), np.tile(QUARTER_TURN, (len(angle), 1))
     return Scene(colour=colour, parts={"pole": np.stack([foot, tip], axis=1)},
-                 boxes={"cart": (foot, (0.1, 0.2, 0.05), None), "turned cart": (foot, (0.1, 0.2, 0.05), turns)},
+                 boxes={"cart": (foot, (0.1, 0.2, 0.05), still), "turned cart": (foot, (0.1, 0.2, 0.05), turns)},
                  series={"pole angle": angle, "cart position": position}, **more)
 
 
@@ -245,7 +245,7 @@ def with_part(points):
 
 STANDING = two_scenes()["random"]
 POLE = STANDING.parts["pole"]
-CENTRES = STANDING.boxes["cart"][0]
+CENTRES, _, TURNS = STANDING.boxes["cart"]
 BAD_SCENES = {
     "NaN": (with_part(np.where(np.arange(21)[:, None, None] == 17, np.nan, POLE)), "part 'pole': not finite at row 17"),
     "too short": (with_part(POLE[:-1]), r"part 'pole': shape \(20, 2, 3\), wanted \(21, n, 3\)"),
@@ -255,7 +255,7 @@ BAD_SCENES = {
     "text": (with_part("pole"), "part 'pole': not an array of numbers"),
     "nothing to draw": (replace(STANDING, parts={}, boxes={}), "scene 'odd': give a part or box"),
     "series missing": (replace(STANDING, series={}), r"exactly the series \['pole angle', 'cart position'\]"),
-    "half sizes": (replace(STANDING, boxes={"cart": (CENTRES, (1, 1), None)}), "half sizes of box 'cart': shape"),
+    "half sizes": (replace(STANDING, boxes={"cart": (CENTRES, (1, 1), TURNS)}), "half sizes of box 'cart': shape"),
     "rotations": (replace(STANDING, boxes={"cart": (CENTRES, (1, 1, 1), CENTRES)}), "rotations of box 'cart': shape"),
     "crowd": (replace(busy(), crowds={"crowd": (CENTRES, (1, 1, 1), CENTRES)}), "centres of crowd 'crowd': shape"),
     "crowd's rotations": (replace(busy(), crowds={"crowd": (CENTRES[:, None], (1, 1, 1), np.ones((21, 2, 4)))}),
@@ -296,7 +296,7 @@ def test_empty_or_senseless_arguments_are_refused(tmp_path):
 
 
 def test_shorter_scenes_hold_their_last_moment():
-    boxes = {"car": (np.arange(9.0).reshape(3, 3), (1, 1, 1), None)}
+    boxes = {"car": (np.arange(9.0).reshape(3, 3), (1, 1, 1), np.tile(QUARTER_TURN, (3, 1)))}
     crowds = {"cars": (np.arange(18.0).reshape(3, 2, 3), (1, 1, 1), np.tile(QUARTER_TURN, (3, 2, 1)))}
     images = {"input": np.linspace(0, 1, 3)[:, None, None, None] * np.ones((4, 5, 3))}
     short = Scene("#000000", {"line": np.ones((3, 2, 3))}, boxes, {"x": np.arange(3)}, crowds=crowds, images=images,
@@ -305,7 +305,7 @@ def test_shorter_scenes_hold_their_last_moment():
     made = equally_long({"short": short, "long": long})
     held = made["short"]
     assert held.series["x"].tolist() == [0, 1, 2, 2, 2] and held.parts["line"].shape == (5, 2, 3)
-    assert held.boxes["car"][0][:, 0].tolist() == [0, 3, 6, 6, 6] and held.boxes["car"][2] is None
+    assert held.boxes["car"][0][:, 0].tolist() == [0, 3, 6, 6, 6] and held.boxes["car"][2].shape == (5, 4)
     assert held.crowds["cars"][0][:, 1, 2].tolist() == [5, 11, 17, 17, 17]
     assert held.crowds["cars"][2].shape == (5, 2, 4) and held.images["input"][3:, 0, 0, 0].tolist() == [1, 1]
     assert (held.outcome, held.moment) == ("ends", 1)

@@ -145,19 +145,22 @@ class Table:
     def __init__(self, file: Path, *columns: str, optional: tuple = ()):
         if not file.is_file():
             raise ValueError(f"{file} is missing")
-        lines = [line.split(",") for line in file.read_text("utf-8-sig", errors="replace").splitlines()]
+        lines = file.read_text("utf-8-sig", errors="replace").splitlines()
         if len(lines) < 2:
             raise ValueError(f"{file} has no rows")
-        (header, *rows), self.file, self.columns = lines, file, {}
+        self.file, self.columns = file, {}
+        header, *rows = [line.split(",") for line in lines]
         for row, words in enumerate(rows, 2):
             if len(words) != len(header):
                 raise ValueError(f"{file}, row {row}: {len(words)} values for {len(header)} columns")
+        cells = np.genfromtxt(lines[1:], delimiter=",", comments=None, ndmin=2)  # nan where there is no number
         for column in (*columns, *(name for name in optional if name in header)):
             if column not in header:
                 raise ValueError(f"{file}, row 1: there is no column {column}")
-            self.columns[column] = np.array([row[header.index(column)].strip() for row in rows])
+            place = header.index(column)
+            self.columns[column] = np.array([row[place].strip() for row in rows])
             if column != "class":
-                values, whole = np.array([number(word) for word in self[column]]), column in WHOLE
+                values, whole = cells[:, place], column in WHOLE
                 right = (values == np.abs(np.rint(values))) & (values < 2**31) if whole else np.isfinite(values)
                 self.check(column, right, f"is not a {'whole number from 0 on' if whole else 'finite number'}")
                 self.columns[column] = values.astype(int if whole else float)
@@ -170,14 +173,6 @@ class Table:
         if not right.all():
             row = np.argmin(right)
             raise ValueError(f"{self.file}, row {row + 2}, column {column}: '{self[column][row]}' {problem}")
-
-
-def number(word: str) -> float:
-    """Return the number that a word stands for, nan if for none."""
-    try:
-        return float(word)
-    except ValueError:
-        return np.nan
 
 
 def rows_of_tracks(about: Table, tracks: Table) -> list[np.ndarray]:

@@ -33,19 +33,19 @@ def audit(grid: Grid, results: Path, workers: int, options: Mapping) -> list[dic
     alone = options.get("stamp") or options.get("values")
     share = _spread(grid, number) if alone else _share(grid, results, number)
     known = grid.runs
+    folder = Path(options.get("values") or options.get("beside") or "")  # never both
+    kept = Store(folder / results.name / grid.name, grid.chapter, grid.name)
     if options.get("beside"):
         if not grid.stale:
             return []
-        known = _made_here(grid, _store_in(options["beside"], grid, results), number)
+        known = _made_here(grid, kept, number)
         share = list(known)
     for key, values, seconds in grid.computed(share, workers, options):
         compared, differs = differences(known[key].values, values)
         rows.append({"run": f"{grid.name}/{key}", "same": not differs, "differs": differs, "compared": compared,
                      "stale": key in grid.stale, "made_on": known[key].versions.get("processor", "one unknown")})
         if options.get("values"):
-            task = grid.tasks[key]
-            run = Run(task.config, task.seed, values, seconds, task.depends, versions())
-            _store_in(options["values"], grid, results).add(run)
+            kept.add(grid.tasks[key].run(values, seconds, versions()))
     return sorted(rows, key=lambda row: row["run"])
 
 
@@ -67,10 +67,6 @@ def differences(old: Mapping, new: Mapping) -> tuple[int, list[str]]:
     names = sorted(name for name in old.keys() | new.keys() if not name.startswith("seconds"))
     found = {name: _difference(old.get(name), new.get(name)) for name in names}
     return len(names), [f"{name} {said}" for name, said in found.items() if said]
-
-
-def _store_in(folder: str, grid: Grid, results: Path) -> Store:
-    return Store(Path(folder) / results.name / grid.name, grid.chapter, grid.name)
 
 
 def _made_here(grid: Grid, store: Store, number: int) -> dict[str, Run]:

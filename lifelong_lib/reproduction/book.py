@@ -10,22 +10,25 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import nbformat
 from docutils import nodes
 from docutils.utils.math import MathError
 from docutils.utils.math.latex2mathml import tex2mathml
+from jinja2 import ChainableUndefined, Environment, FileSystemLoader
 from sphinx.util import logging
 
 from lifelong_lib.reproduction.children import last_words, surroundings
 from lifelong_lib.reproduction.files import ROOT, read_json, require
 from lifelong_lib.reproduction.fingerprint import SOURCES
-from lifelong_lib.reproduction.grid import read_summaries
+from lifelong_lib.reproduction.grid import read_reports
 from lifelong_lib.reproduction.labels import VERDICTS, order
 from lifelong_lib.reproduction.notebooks import made_ids, named_in_calls
-from lifelong_lib.reproduction.report import verdict_counts
-from lifelong_lib.reproduction.tables import Table, readable
+from lifelong_lib.reproduction.tables import readable
+
+PAGES = Path(__file__).with_name("pages")  # templates, and the look of all pages
 
 CONFIGURATION = """
 project = html_title = "Lifelong reinforcement learning on mobile robots, reproduced"
@@ -53,18 +56,21 @@ def build_book(folder: Path, reference: Path) -> Path:
     claims = read_json(folder / "claims.json", [])
     copies = sorted((folder / "notebooks").glob("ch*.ipynb"))
     places = {name: (path.stem, headings[0]) for path in copies for name, headings in made_ids(path).items()}
-    pages = {"index": _front_page(folder, reference, claims, places), "claims": _claims_page(claims, places),
-             "not_reproduced": _missing_page(claims), "deviations": (ROOT / "DEVIATIONS.md").read_text(),
-             "recordings": _recordings_page(folder), "provenance": _provenance_page(folder)}
-    contents = [f"chapters/{path.stem}" for path in copies] + list(pages)[1:]
-    pages["index"] += "\n\n```{toctree}\n:hidden:\n" + "\n".join(contents) + "\n```\n"
+    made = read_json(folder / "provenance.json", {"chapters": {}})
+    recordings = sorted(path.stem for path in (folder / "recordings").glob("*.rrd"))
+    pages = {"claims": _page("claims", claims=claims, places=places), "not_reproduced": _missing_page(claims),
+             "deviations": (ROOT / "DEVIATIONS.md").read_text(), "recordings": _page("recordings", names=recordings),
+             "provenance": _page("provenance", made=made, text=json.dumps(made, indent=1))}
+    contents = [f"chapters/{path.stem}" for path in copies] + list(pages)
+    pages["index"] = _page("index", profile=folder.name, claims=claims, places=places, contents=contents,
+                           results=_shown(folder, reference, claims, places))  # fmt: skip
     with tempfile.TemporaryDirectory(prefix="lifelong-book-") as temporary:
         source, out = Path(temporary, "source"), Path(temporary, "out")
         for name, place in (("latest", folder), ("reference", reference), ("recordings", folder / "recordings")):
             (source / "_static" / name).mkdir(parents=True)
             for path in sorted(place.glob("*.png")):
                 shutil.copyfile(path, source / "_static" / name / path.name)
-        shutil.copyfile(Path(__file__).with_name("book.css"), source / "_static" / "book.css")
+        shutil.copyfile(PAGES / "book.css", source / "_static" / "book.css")
         (source / "conf.py").write_text(CONFIGURATION)
         (source / "chapters").mkdir()
         for path in copies:
@@ -92,59 +98,25 @@ def _chapter_page(path: Path) -> nbformat.NotebookNode:
     return notebook
 
 
-def _link(identifier: str, places: dict, inside: str, about: str = "") -> str:
-    """A link to the cell that makes a result; to the claims page when no chapter of this run does."""
-    address = f"chapters/{places[identifier][0]}.html#{identifier}" if identifier in places else "claims.html"
-    return f'<a href="{address}" title="{html.escape(about)}">{inside}</a>'
+def _page(name: str, **more) -> str:
+    """A page from its template in `pages`, which knows what a verdict means."""
+    templates = Environment(loader=FileSystemLoader(PAGES), trim_blocks=True, undefined=ChainableUndefined)
+    templates.filters["readable"] = readable
+    return templates.get_template(f"{name}.md").render(verdicts=VERDICTS, **more)
 
 
-def _badge(verdict: str, text: str) -> str:
-    meaning = html.escape(VERDICTS[verdict])
-    return f'<span class="verdict {verdict.replace(" ", "-")}" title="{meaning}">{text} {verdict}</span>'
-
-
-def _counts(claims: list[dict]) -> str:
-    return " ".join(_badge(verdict, str(number)) for verdict, number in verdict_counts(claims).items())
-
-
-def _front_page(folder: Path, reference: Path, claims: list[dict], places: dict) -> str:
-    rests = [set(grid.makes) for grid in read_summaries(folder)]
+def _shown(folder: Path, reference: Path, claims: list[dict], places: dict) -> Iterator[dict]:
+    """What the first page shows of every figure and table, with the claims that rest on the same runs."""
+    rests = [set(grid.makes) for grid in read_reports(folder)]
     compared = {row["id"]: row for row in read_json(folder / "comparison.json", {}).get("results", [])}
-    parts = ["# Lifelong reinforcement learning on mobile robots, reproduced",
-             f"Made at the profile **{folder.name}**. [The claims of the thesis](claims.md): {_counts(claims)}",
-             "Left: what this run made. Right: the committed reference. A badge is a claim that rests on the same "
-             "runs; it leads to the place in the chapter where it is judged."]
     for name in sorted((path.stem for path in folder.glob("[FT]*.csv")), key=order):
         heading, row = places.get(name, ("", ""))[1], compared.get(name, {})
-        said = "; ".join(f"{key} {row[key]}" for key in ("data", "picture") if row.get(key))
-        shown = [f"_static/{kind}/{name}.png" for kind, place in (("latest", folder), ("reference", reference))
-                 if (place / f"{name}.png").exists()]
-        images = "".join(f'<a href="{file}"><img src="{file}" alt="{name}"></a>' for file in shown)
-        badges = [_link(claim["id"], places, _badge(claim["verdict"], claim["id"]), claim["statement"])
-                  for claim in claims if any({name, claim["id"]} <= makes for makes in rests)]
-        parts += [f"## {heading}" if name in heading else f"## {name} {heading}",
-                  f'{_link(name, places, "in its chapter")} <span class="same">{html.escape(said)}</span>',
-                  f'<div class="pair">{images}</div>' if images else (folder / f"{name}.md").read_text(),
-                  " ".join(badges)]
-    return "\n\n".join(parts)
-
-
-def _part(claim: dict) -> str:
-    """The weakest deciding part, whose numbers stand for the claim."""
-    return html.escape(claim.get("test", "").rpartition(": ")[0])
-
-
-def _measured(claim: dict) -> str:
-    low_high = ", ".join(map(readable, claim.get("interval") or []))
-    return readable(claim.get("measured")) + (f" ({low_high})" if low_high else "")
-
-
-def _claims_page(claims: list[dict], places: dict) -> str:
-    rows = [{"claim": _link(claim["id"], places, claim["id"]), "statement": html.escape(claim["statement"]),
-             "weakest part": _part(claim), "thesis": claim.get("thesis"), "measured (interval)": _measured(claim),
-             "seeds": claim.get("n"), "p": claim.get("p"), "verdict": _badge(claim["verdict"], ""),
-             "with its cause switched off": claim.get("control_verdict")} for claim in claims]
-    return "\n\n".join(["# The claims", _counts(claims), repr(Table(rows)) if rows else "", ""])
+        pictures = [f"_static/{kind}/{name}.png" for kind, place in (("latest", folder), ("reference", reference))
+                    if (place / f"{name}.png").exists()]  # fmt: skip
+        yield {"id": name, "title": heading if name in heading else f"{name} {heading}", "pictures": pictures,
+               "said": "; ".join(f"{key} {row[key]}" for key in ("data", "picture") if row.get(key)),
+               "table": "" if pictures else (folder / f"{name}.md").read_text(),
+               "claims": [claim for claim in claims if any({name, claim["id"]} <= makes for makes in rests)]}
 
 
 def _missing_page(claims: list[dict]) -> str:
@@ -152,31 +124,11 @@ def _missing_page(claims: list[dict]) -> str:
     path = ROOT / "data" / "thesis" / "findings.md"
     introduction, *sections = re.split(r"^## +", path.read_text() if path.exists() else "", flags=re.MULTILINE)
     findings = dict(section.partition("\n")[::2] for section in sections)
-    parts = ["# What did not reproduce and why", re.sub(r"^# .*", "", introduction, flags=re.MULTILINE)]
-    for claim in [claim for claim in claims if claim["verdict"] != "holds"]:
-        why = [text for title, text in findings.items() if claim["id"] in re.findall(r"C\d+\.\d+", title)]
-        parts += [f"## {claim['id']}: {claim['verdict']}", html.escape(claim["statement"]),
-                  f"{_part(claim)} (thesis: {claim.get('thesis')}): {_measured(claim)}. {claim.get('remark', '')}",
-                  *(why or ["Not explained yet."] * (claim["verdict"] != "not tested"))]
-    parts += [f"## {title}\n{text}" for title, text in findings.items() if not re.match(r"C\d", title)]
-    return "\n\n".join(parts)
-
-
-def _recordings_page(folder: Path) -> str:
-    parts = ["# Recordings", "Open one with `.venv/bin/rerun FILE`; the viewer's time line plays it."]
-    for path in sorted((folder / "recordings").glob("*.rrd")):
-        parts += [f"## {path.stem}", f'<a href="../recordings/{path.name}">recordings/{path.name}</a>',
-                  f'<p><img src="_static/recordings/{path.stem}.png" alt="still of {path.stem}"></p>']
-    return "\n\n".join(parts)
-
-
-def _provenance_page(folder: Path) -> str:
-    made = read_json(folder / "provenance.json", {"chapters": {}})
-    runs = [{"chapter": chapter, "experiment": name, **counts}
-            for chapter, entry in made["chapters"].items() for name, counts in entry["runs"].items()]
-    return "\n\n".join(["# Where this comes from", "Stale runs were made by another state of the code. "
-                        "Stamped ones too, but an audit computed some of them again and found no difference.",
-                        repr(Table(runs)) if runs else "", f"```json\n{json.dumps(made, indent=1)}\n```"])
+    explained = [(claim, [text for title, text in findings.items() if claim["id"] in re.findall(r"C\d+\.\d+", title)])
+                 for claim in claims if claim["verdict"] != "holds"]  # fmt: skip
+    others = [(title, text) for title, text in findings.items() if not re.match(r"C\d", title)]
+    introduction = re.sub(r"^# .*", "", introduction, flags=re.MULTILINE)
+    return _page("not_reproduced", introduction=introduction, explained=explained, others=others)
 
 
 def setup(app) -> dict:

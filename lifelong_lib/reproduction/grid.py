@@ -1,13 +1,13 @@
-"""A grid: which runs are wanted, what each draws from and depends on, how much of it is stored, and its summary."""
+"""A grid: which runs are wanted, what each draws from and depends on, how much of it is stored, and a report on it."""
 
 import json
-import math
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -24,9 +24,12 @@ class Task:
 
     config: dict
     seed: int
-    entropy: int  # of its SeedSequence
-    inputs: dict  # name -> array
+    call: Call
     depends: dict  # part of the code, input or file -> digest
+
+    def run(self, values: dict, seconds: float, versions: dict) -> Run:
+        """The run that came to these values, made now."""
+        return Run(self.config, self.seed, values, seconds, self.depends, versions)
 
 
 @dataclass(frozen=True)
@@ -63,54 +66,35 @@ class Grid:
 
     def computed(self, keys: Iterable[str], workers: int, options: Mapping) -> Iterator[tuple]:
         """(name, values, wall seconds) of these runs, computed now, in order of completion."""
-        calls = {}
-        for key in keys:
-            task = self.tasks[key]
-            label = f"experiment '{self.name}' failed at {canonical(task.config)}, seed {task.seed}"
-            calls[key] = Call(label, task.config, task.entropy, task.inputs)
+        calls = {key: self.tasks[key].call for key in keys}
         return completed(self.experiment, calls, options.get("backend", "loky"), workers, options.get("address", ""))
 
-    def summary(self, **more) -> "Summary":
-        """What there is to say of it."""
-        stamps = Counter(run.stamp for key, run in self.runs.items() if run.stamp and key not in self.stale)
-        found = {"wanted": len(self.tasks), "stored": len(self.runs) - len(self.stale), "stale": len(self.stale)}
-        found |= {"missing": len(self.missing), "causes": self.causes, "stamps": dict(stamps)}
-        seconds = [run.seconds for run in self.runs.values()]
-        found["seconds_per_run"] = float(np.mean(seconds)) if seconds else None
-        return Summary(self.chapter, self.name, self.makes, **found | more)
-
-
-@dataclass(frozen=True)
-class Summary:
-    """What a command did with a grid, or found: numbers of runs, and what they cost."""
-
-    chapter: int
-    name: str
-    makes: list[str]
-    wanted: int
-    stored: int  # made by this state of the code, or stamped
-    stale: int
-    missing: int
-    causes: dict[str, int]  # stale runs by cause
-    stamps: dict[str, int]  # stamped runs by stamp
-    seconds_per_run: float | None
-    computed: int = 0
-    seconds: float | None = None  # that computing the rest will take; None if not known
-    audited: list[dict] = field(default_factory=list)  # a row a recomputed run
-
     @property
-    def stamped(self) -> int:
-        """Number of stamped runs."""
-        return sum(self.stamps.values())
+    def seconds_per_run(self) -> float | None:
+        """Mean wall time of the stored runs; None if there are none."""
+        seconds = [run.seconds for run in self.runs.values()]
+        return float(np.mean(seconds)) if seconds else None
 
-    def write(self, folder: Path) -> None:
-        """Leave it for the command, which runs in another process."""
-        write_json(folder / "runs" / f"ch{self.chapter:02d}-{self.name}.json", asdict(self))
+    def report(self, folder: Path, **more) -> SimpleNamespace:
+        """What there is to say of the grid, also left in `folder` for the command, which runs in another process.
+
+        chapter, name, makes, seconds_per_run: those of the grid. wanted, stored (made by this state of the code, or
+        stamped), stale, missing, stamped: numbers of runs. causes, stamps: numbers of stale runs by cause, of stamped
+        ones by stamp. `more` of what was done: computed, the number of runs; seconds that computing the rest will take,
+        None if that is not known; audited, a row a recomputed run.
+        """
+        stamps = Counter(run.stamp for key, run in self.runs.items() if run.stamp and key not in self.stale)
+        said = {"chapter": self.chapter, "name": self.name, "makes": self.makes, "wanted": len(self.tasks),
+                "stored": len(self.runs) - len(self.stale), "stale": len(self.stale), "missing": len(self.missing),
+                "stamped": sum(stamps.values()), "causes": self.causes, "stamps": dict(stamps),
+                "seconds_per_run": self.seconds_per_run, "computed": 0, "seconds": None, "audited": []}  # fmt: skip
+        write_json(folder / "runs" / f"ch{self.chapter:02d}-{self.name}.json", said | more)
+        return SimpleNamespace(**said | more)
 
 
-def read_summaries(folder: Path) -> list[Summary]:
-    """What run_grid left in `folder` about each grid."""
-    return [Summary(**read_json(path, {})) for path in sorted((folder / "runs").glob("*.json"))]
+def read_reports(folder: Path) -> list[SimpleNamespace]:
+    """What `Grid.report` left in `folder`, one a grid."""
+    return [SimpleNamespace(**read_json(path, {})) for path in sorted((folder / "runs").glob("*.json"))]
 
 
 def make_tasks(chapter: int, name: str, configs, seeds, depends: dict, inputs=None, luck=None) -> dict[str, Task]:
@@ -132,18 +116,14 @@ def make_tasks(chapter: int, name: str, configs, seeds, depends: dict, inputs=No
         drawn_from, parts = _drawn_from(name, config, arrays, luck), depends | digests(arrays)
         for seed in seeds:
             entropy = int(sha256(json.dumps([chapter, name, drawn_from, seed])), 16)
-            tasks[run_key(config, seed)] = Task(dict(config), seed, entropy, arrays, parts)
+            label = f"experiment '{name}' failed at {canonical(config)}, seed {seed}"
+            tasks[run_key(config, seed)] = Task(dict(config), seed, Call(label, config, entropy, arrays), parts)
     return tasks
 
 
 def whole(value, least: int = 0) -> bool:
     """Whether a value is a whole number, `least` or more."""
     return isinstance(value, int) and not isinstance(value, bool) and value >= least
-
-
-def seconds_needed(count: int, each: float | None, workers: int) -> float | None:
-    """Seconds that `count` runs of `each` seconds take; None if that is not known."""
-    return None if each is None else float(each) * math.ceil(count / workers)
 
 
 def _sorted_seeds(name, seeds) -> list[int]:

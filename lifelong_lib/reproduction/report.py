@@ -13,7 +13,7 @@ from pathlib import Path
 from matplotlib.image import imread
 
 from lifelong_lib.reproduction.files import ROOT, read_json, require, sha256, write_json
-from lifelong_lib.reproduction.grid import Summary, read_summaries
+from lifelong_lib.reproduction.grid import read_reports
 from lifelong_lib.reproduction.labels import VERDICTS, order
 from lifelong_lib.reproduction.machine import commit, versions
 
@@ -25,10 +25,12 @@ def write_provenance(folder: Path, profile: str, parameters: dict[int, dict]) ->
 
     parameters: the full parameter values of the chapters that were just run; other chapters keep their entry.
     """
-    grids = read_summaries(folder)
+    grids = read_reports(folder)
     chapters = read_json(folder / "provenance.json", {}).get("chapters", {})
     for number, values in parameters.items():
-        counts = {grid.name: _counts(grid) for grid in grids if grid.chapter == number}
+        counts = {grid.name: {"wanted": grid.wanted, "computed": grid.computed, "read": grid.wanted - grid.computed,
+                              "stale": grid.stale, "stamped": grid.stamped}
+                  for grid in grids if grid.chapter == number}  # fmt: skip
         chapters[f"ch{number:02d}"] = {"parameters": values, "runs": counts}
     write_json(folder / "provenance.json", {
         "profile": profile, "commit": commit(), "lock": sha256((ROOT / "environment.txt").read_bytes()),
@@ -37,12 +39,6 @@ def write_provenance(folder: Path, profile: str, parameters: dict[int, dict]) ->
     })
     costs = {f"ch{grid.chapter:02d}/{grid.name}": grid.seconds_per_run for grid in grids}
     write_json(folder / "unit_costs.json", costs)
-
-
-def _counts(grid: Summary) -> dict[str, int]:
-    """How the runs of a grid came about; those that were computed are neither stale nor stamped."""
-    counts = {"wanted": grid.wanted, "computed": grid.computed, "read": grid.wanted - grid.computed}
-    return counts | {"stale": grid.stale, "stamped": grid.stamped}
 
 
 def compare(latest: Path, reference: Path) -> dict:

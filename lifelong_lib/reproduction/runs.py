@@ -7,6 +7,7 @@ own SeedSequence on one thread, so where and in which order runs are computed ca
 
 import contextlib
 import json
+import math
 import os
 import sys
 from collections.abc import Callable
@@ -20,7 +21,7 @@ from lifelong_lib.reproduction.audits import audit, stamped
 from lifelong_lib.reproduction.configurations import canonical
 from lifelong_lib.reproduction.files import ROOT, ReproductionError, read_json, require
 from lifelong_lib.reproduction.fingerprint import checksums, fingerprint
-from lifelong_lib.reproduction.grid import Grid, make_tasks, seconds_needed, whole
+from lifelong_lib.reproduction.grid import Grid, make_tasks, whole
 from lifelong_lib.reproduction.machine import commit, versions
 from lifelong_lib.reproduction.packed import Run
 from lifelong_lib.reproduction.store import Store, warn
@@ -46,7 +47,7 @@ class Chapter:
     workers: int = 2
     output_dir: str = ""
     options: dict = field(default_factory=lambda: json.loads(os.environ.get("LIFELONG_OPTIONS", "{}")), init=False)
-    grids: dict = field(default_factory=dict, init=False)  # name -> Summary of what run_grid did
+    grids: dict = field(default_factory=dict, init=False)  # name -> report on what run_grid did
 
     def __post_init__(self):
         require(whole(self.number, 1) and self.number <= 8, f"chapter {self.number!r} is not one of 1 to 8")
@@ -130,8 +131,7 @@ def _complete(chapter, grid, store) -> dict[str, Run]:
     now = replace(grid, stored=grid.stored | done)
     if not store.packed:
         store.pack(now.stored)
-    chapter.grids[grid.name] = now.summary(computed=len(done), causes=grid.causes)
-    chapter.grids[grid.name].write(chapter.folder)
+    chapter.grids[grid.name] = now.report(chapter.folder, computed=len(done), causes=grid.causes)
     return now.runs
 
 
@@ -142,8 +142,7 @@ def _compute_and_store(chapter, grid, store, keys) -> dict[str, Run]:
     try:
         with contextlib.closing(results), _bar(title, len(keys)) as bar:
             for key, values, seconds in results:
-                task = grid.tasks[key]
-                done[key] = Run(task.config, task.seed, values, seconds, task.depends, installed)
+                done[key] = grid.tasks[key].run(values, seconds, installed)
                 store.add(done[key])
                 bar.update()
     except KeyboardInterrupt:
@@ -165,8 +164,9 @@ def _plan(chapter, grid) -> dict[str, Run]:
     kept = chapter.profile == "paper" and not chapter.options.get("fresh")
     rest = len(grid.missing) + (0 if kept else len(grid.stale))
     costs = read_json(ROOT / "figures" / "reference" / chapter.profile / "unit_costs.json", {})
-    each = grid.summary().seconds_per_run or costs.get(f"{chapter.results.name}/{grid.name}")
-    grid.summary(seconds=seconds_needed(rest, each, chapter.workers)).write(chapter.folder)
+    each = grid.seconds_per_run or costs.get(f"{chapter.results.name}/{grid.name}")
+    seconds = None if each is None else float(each) * math.ceil(rest / chapter.workers)
+    grid.report(chapter.folder, seconds=seconds)
     if rest:
         raise NotStored(f"{rest} of {len(grid.tasks)} runs of '{grid.name}' are missing or stale")
     return grid.runs
@@ -183,7 +183,7 @@ def _audit(chapter, grid, store) -> dict[str, Run]:
             store.pack(grid.stored)
         grid = replace(grid, stored=stamped(grid, rows, "beside" in chapter.options))
         store.pack(grid.stored)
-    grid.summary(audited=rows).write(chapter.folder)
+    grid.report(chapter.folder, audited=rows)
     return grid.runs
 
 

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from lifelong_lib.reproduction.files import explained, require, seal, sha256, unseal, write_atomically
-from lifelong_lib.reproduction.packed import RECORD, UNREADABLE, Run, from_npz, pack, to_npz, unpack
+from lifelong_lib.reproduction.packed import UNREADABLE, Run, from_npz, pack, to_npz, unpack
 
 
 class Store:
@@ -53,10 +53,10 @@ class Store:
     def pack(self, runs: Mapping[str, Run]) -> None:
         """Make `runs`, which must be all that are stored, the packed grid."""
         with explained(self.folder):
-            self._recover()
             for name, data in pack(runs.values(), self.identity).items():
                 write_atomically(self.part / name, data)
-            if self.folder.exists():
+            if self._place() == self.folder:
+                shutil.rmtree(self.old, ignore_errors=True)
                 os.replace(self.folder, self.old)
             os.replace(self.part, self.folder)
             shutil.rmtree(self.old, ignore_errors=True)
@@ -69,24 +69,13 @@ class Store:
         """Records first: without them, the rest is not read."""
         return [file for end in ("json", "npz", "part") for file in sorted(self.loose.glob(f"*.{end}"))]
 
-    def _recover(self) -> None:
-        """After a kill between two renames, put the packed grid back in its place; drop what was not finished."""
-        place = self._packed_place()
-        if place not in (None, self.folder):
-            shutil.rmtree(self.folder, ignore_errors=True)  # an empty one
-            os.replace(place, self.folder)
-        for unfinished in (self.part, self.old):
-            shutil.rmtree(unfinished, ignore_errors=True)
-
-    def _packed_place(self) -> Path | None:
-        """Where the packed grid stands: not in its folder if a kill came between two renames."""
-        if self.folder.is_dir() and any(self.folder.iterdir()):
-            return self.folder
-        return next((place for place in (self.part, self.old) if (place / RECORD).exists()), None)
+    def _place(self) -> Path:
+        """Where the packed grid stands: still in `old` if a kill came between two renames."""
+        return self.folder if self.folder.is_dir() and any(self.folder.iterdir()) else self.old
 
     def _read_packed(self, keep: bool) -> dict[str, Run]:
-        place = self._packed_place()
-        if place is None:
+        place = self._place()
+        if not place.exists():
             return {}
         try:
             return {run.key: run for run in unpack(place, self.identity)}
