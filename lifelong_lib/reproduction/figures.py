@@ -59,6 +59,18 @@ LOOKS = {
     "by hand": Look("#0072B2", "P", (0, (3, 1, 1, 1)), ""),
     "without faults": Look("#CC79A7", "v", (0, (5, 1.5)), ""),
     "other sources": Look("#56B4E9", "o", (0, (1, 1.5)), ""),
+    # chapter 6: memories
+    "unlimited": Look("#666666", "s", "-", "///"),
+    "FIFO": Look("#000000", "x", (0, (1, 1.5)), ""),
+    "surprise": Look("#D55E00", "v", (0, (3, 1, 1, 1)), "++"),
+    "reward": Look("#E69F00", "D", (0, (5, 1.5)), "xxx"),
+    "coverage": Look("#009E73", "^", (0, (5, 1.5, 1, 1.5)), "\\\\\\"),
+    "matching": Look("#0072B2", "o", "-", "///"),
+    "latest": Look("#CC79A7", "P", (0, (1, 1)), "..."),
+    # chapter 6: rooms of the grid world
+    "top right": Look("#0072B2", "o", "-", ""),
+    "bottom left": Look("#E69F00", "D", (0, (5, 1.5)), "xxx"),
+    "bottom right": Look("#009E73", "^", (0, (5, 1.5, 1, 1.5)), "///"),
 }
 STYLE = {
     "font.family": "DejaVu Sans", "font.size": 8, "axes.titlesize": 9, "axes.titleweight": "bold",
