@@ -128,7 +128,7 @@ def space_of(**found):
     lives = runs(*((configs[name], result) for name, result in found.items()))
     return load(6, "by_order", "of", "measures_of", "at_the_end", "unlimited_parts", "change_during",
                 "forgetting_parts", "backward", "near_unlimited", names=NAMES, order=ORDER, lives=lives,
-                lives_of=configs, alone=np.full((3, 5), 0.9))  # fmt: skip
+                STRATEGIES=configs, alone=np.full((3, 5), 0.9))  # fmt: skip
 
 
 def typical(**other):
@@ -177,7 +177,7 @@ def contents(**held):
     lives = runs(*((configs[name], {"held": [np.array([[1] * 5, stored]) for stored in each],
                                     "ends": [np.full((5, 5), 0.5)] * len(each)}) for name, each in held.items()))
     return load(6, "by_order", "of", "shares_held", "spread_held", "unfairness", "old_held", "at_the_end", "VARIES",
-                "pattern_parts", "RANKED", names=NAMES, order=ORDER, hard=[2, 4], lives=lives, lives_of=configs)
+                "pattern_parts", "RANKED", names=NAMES, order=ORDER, hard=[2, 4], lives=lives, STRATEGIES=configs)
 
 
 FAIR, LAST = [[18, 18, 22, 18, 24]] * 3, [[100, 0, 0, 0, 0]] * 3

@@ -122,6 +122,8 @@ TOGETHER = [  # names that may stand in one figure
     ["right", "left", "left2", "forward", "challenge", "random start"],
     ["single task", "direct copy", "reverse transfer"],
     ["pre-trained", "from scratch", "random"],
+    ["unlimited", "FIFO", "surprise", "reward", "coverage", "matching", "latest"],
+    ["top right", "bottom left", "bottom right"],
 ]  # fmt: skip
 
 

@@ -24,7 +24,7 @@ PLAN = """
 ###########
 """
 WALLS = np.array([[cell == "#" for cell in row] for row in PLAN.split("\n")[1:-1]])
-UPPER, LOWER = range(1, 5), range(6, 10)  # rows, or columns to the left and to the right
+UPPER, LOWER = tuple(range(1, 5)), tuple(range(6, 10))  # rows, or columns to the left and to the right
 ROOMS = {"top right": (UPPER, LOWER), "bottom left": (LOWER, UPPER), "bottom right": (LOWER, LOWER)}
 MOVES = ((-1, 0), (1, 0), (0, -1), (0, 1))  # up, down, left, right: rows count downwards
 START, MAX_STEPS = (1, 1), 100

@@ -67,6 +67,10 @@ LOOKS = {
     "coverage": Look("#009E73", "^", (0, (5, 1.5, 1, 1.5)), "\\\\\\"),
     "matching": Look("#0072B2", "o", "-", "///"),
     "latest": Look("#CC79A7", "P", (0, (1, 1)), "..."),
+    # chapter 6: rooms of the grid world
+    "top right": Look("#0072B2", "o", "-", ""),
+    "bottom left": Look("#E69F00", "D", (0, (5, 1.5)), "xxx"),
+    "bottom right": Look("#009E73", "^", (0, (5, 1.5, 1, 1.5)), "///"),
 }
 STYLE = {
     "font.family": "DejaVu Sans", "font.size": 8, "axes.titlesize": 9, "axes.titleweight": "bold",
