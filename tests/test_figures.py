@@ -122,6 +122,7 @@ TOGETHER = [  # names that may stand in one figure
     ["right", "left", "left2", "forward", "challenge", "random start"],
     ["single task", "direct copy", "reverse transfer"],
     ["pre-trained", "from scratch", "random"],
+    ["none", "EWC", "selective", "both"],
 ]  # fmt: skip
 
 

@@ -59,6 +59,11 @@ LOOKS = {
     "by hand": Look("#0072B2", "P", (0, (3, 1, 1, 1)), ""),
     "without faults": Look("#CC79A7", "v", (0, (5, 1.5)), ""),
     "other sources": Look("#56B4E9", "o", (0, (1, 1.5)), ""),
+    # chapter 6: what is done against forgetting
+    "none": Look("#000000", "x", (0, (1, 1.5)), ""),
+    "EWC": Look("#E69F00", "D", (0, (5, 1.5)), "xxx"),
+    "selective": Look("#0072B2", "o", "-", ""),
+    "both": Look("#009E73", "^", (0, (5, 1.5, 1, 1.5)), "///"),
 }
 STYLE = {
     "font.family": "DejaVu Sans", "font.size": 8, "axes.titlesize": 9, "axes.titleweight": "bold",
