@@ -11,10 +11,9 @@ from lifelong_lib.learners.q_learning import Memory, Trial
 
 
 def digit_network(seed: int) -> Network:
-    """The network of section 6.4.7: 784 pixels, 50 nodes with ReLUs, 10 classes.
+    """The network of section 6.4.7: 784 pixels, 50 nodes with ReLUs, 10 classes; it starts as the public code does.
 
-    It starts as in the public implementation that the section uses: weights are normal with a standard deviation of
-    0.1, none beyond two of them, and biases are 0.1.
+    Weights are normal with a standard deviation of 0.1, none beyond two of them, and biases are 0.1.
     """
     network = Network((784,), [Dense(50), Dense(10)], seed, slope=0.0)
     rng = np.random.default_rng(seed)
