@@ -141,7 +141,8 @@ def test_measures_are_in_the_order_of_the_life():
     space = typical()
     assert space.by_order(np.array([1, 2, 3, 4, 5]), ORDER).tolist() == [4, 5, 2, 3, 1]
     keeps, loses = space.measures_of("unlimited"), space.measures_of("FIFO")
-    assert keeps["backward transfer"] == pytest.approx([0] * 3) and keeps["average accuracy"] == pytest.approx([0.9] * 3)
+    assert keeps["backward transfer"] == pytest.approx([0] * 3)
+    assert keeps["average accuracy"] == pytest.approx([0.9] * 3)
     assert loses["backward transfer"] == pytest.approx([-0.7] * 3) and loses["forgetting"] == pytest.approx([0.7] * 3)
     assert loses["average accuracy"] == pytest.approx([(0.9 + 4 * 0.2) / 5] * 3)
 
@@ -223,7 +224,8 @@ def test_unbalanced_lives_by_hand():
     configs = {name: {"strategy": name} for name in ends}
     parts = load(6, "unbalanced_parts", two_tasks=found, unbalanced_of=configs).unbalanced_parts("coverage", "matching")
     right, challenge, apart = parts.values()
-    assert right == pytest.approx([0.4, 0]) and challenge == pytest.approx([0, 0.1]) and apart == pytest.approx([0.2] * 2)
+    assert right == pytest.approx([0.4, 0]) and challenge == pytest.approx([0, 0.1])
+    assert apart == pytest.approx([0.2] * 2)
 
 
 def test_the_smallest_share_of_large_errors_in_a_fifth_of_a_life():

@@ -1,6 +1,7 @@
 """The classifier's steps against torch's automatic differentiation, and what it does with a memory."""
 
 import numpy as np
+import pytest
 import torch
 from torch import nn
 
@@ -28,6 +29,16 @@ def classifier(network=None, rate=0.2, batch=30, seed=0, **more):
 def test_the_network_is_that_of_section_6_4_7():
     network = digit_network(0)
     assert network.shapes == [(784,), (50,), (10,)] and network.slope == 0 and network.dropout == 0
+
+
+def test_it_starts_as_the_public_implementation_does():
+    network = digit_network(0)
+    for matrix, bias in network.parts:
+        assert (bias == 0.1).all() and abs(matrix.mean()) < 0.01 and 0.19 < abs(matrix).max() <= 0.2
+    # A normal distribution that is cut at two standard deviations has 0.880 of its own.
+    assert float(network.parts[0][0].std()) == pytest.approx(0.0880, rel=0.01)
+    assert (digit_network(1).get_weights() != network.get_weights()).mean() > 0.9
+    assert digit_network(0).get_weights().tobytes() == network.get_weights().tobytes()
 
 
 def test_steps_lead_where_automatic_differentiation_and_plain_descent_lead():

@@ -124,6 +124,7 @@ TOGETHER = [  # names that may stand in one figure
     ["pre-trained", "from scratch", "random"],
     ["unlimited", "FIFO", "surprise", "reward", "coverage", "matching", "latest"],
     ["top right", "bottom left", "bottom right"],
+    ["none", "EWC", "selective", "both"],
 ]  # fmt: skip
 
 

@@ -71,6 +71,11 @@ LOOKS = {
     "top right": Look("#0072B2", "o", "-", ""),
     "bottom left": Look("#E69F00", "D", (0, (5, 1.5)), "xxx"),
     "bottom right": Look("#009E73", "^", (0, (5, 1.5, 1, 1.5)), "///"),
+    # chapter 6: what is done against forgetting
+    "none": Look("#000000", "x", (0, (1, 1.5)), ""),
+    "EWC": Look("#E69F00", "D", (0, (5, 1.5)), "xxx"),
+    "selective": Look("#0072B2", "o", "-", ""),
+    "both": Look("#009E73", "^", (0, (5, 1.5, 1, 1.5)), "///"),
 }
 STYLE = {
     "font.family": "DejaVu Sans", "font.size": 8, "axes.titlesize": 9, "axes.titleweight": "bold",
