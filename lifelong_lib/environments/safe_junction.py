@@ -1,0 +1,176 @@
+"""A left turn in SUMO on which traffic reacts and unsafe actions are masked (thesis section 7.7).
+
+The junction stands in data/safe_junction; build.py there makes it. Cars with right of way brake, as SUMO's intelligent
+drivers do, for an own car that has entered the junction. Registered as lifelong_lib/SafeJunction-v0.
+"""
+
+from functools import cached_property
+from itertools import count
+from pathlib import Path
+
+import gymnasium as gym
+import libsumo
+import numpy as np
+
+from lifelong_lib.environments.crossing import (
+    COLUMNS,
+    LENGTH,
+    MAX_STEPS,
+    ROW,
+    ROWS,
+    STEP_SECONDS,
+    Crossing,
+    grid,
+    overlaps,
+)
+from lifelong_lib.environments.prediction import LIMIT, PROFILES, STANDARD, Margins, Prediction, gaps
+from lifelong_lib.environments.sumo import Roads, Simulation, read_roads
+
+FOLDER = Path(__file__).resolve().parents[2] / "data" / "safe_junction"
+DENSITIES = (0.1, 0.15, 0.4)  # cars a second on each lane
+GOALS = ("margin", "braking")
+WAIT = 0  # actions 1, 2, 3 are to go with PROFILES
+LINE = 0.1  # [m] from the own car's front to the end of its lane
+FAR = 50.0  # [m] distances count up to here, section 7.7.2
+BRAKES = -0.5  # [m/s^2] below which a car brakes
+CRASH = -10.0  # reward of a collision, which only cars without a mask get
+PATIENCE = 9000  # steps in which the first safe moment must come
+
+
+class SafeJunction(Crossing):
+    """A trial, from the first moment at which a way to go is safe: wait, or go with one of three accelerations.
+
+    To wait lasts until there is a safe way to go again, without ``masked`` one step. To go lasts until the whole car is
+    on its new road, or collides. The trial ends as a time-out 100 steps after its beginning if the car still waits.
+
+    ``density``: cars a second on each lane. ``goal``: "margin", a success is worth 0.1 (d - 10) with d the smallest
+    distance to another car while crossing [m], at most 50, and a time-out ``timeout``; "braking", a success is worth 1,
+    and -0.1 each step in which a car brakes by more than 0.5 m/s^2 because of going. ``margins``, ``unseen``: of the
+    prediction; the first safe moment is that without the extra margin. ``masked``: an action that is not safe is
+    replaced by waiting. ``discount``, ``render_mode``: as in `Crossing`. ``folder``: where the network is.
+
+    Observations (2, 26, 3): the two lanes of `grid`. ``info`` has ``steps`` and ``outcome`` as in `Crossing`;
+    ``action_mask`` (4,), what is allowed next; ``safe`` (4,), what is safe next; ``replaced``, whether the action was;
+    ``distance``, d, and ``braking``, steps with a car that brakes. Resets are those of `Intersection`. Raises
+    ValueError for an unknown density, goal or render mode, and for files that are not those of build.py.
+    """
+
+    def __init__(self, density: float = 0.1, goal: str = "margin", timeout: float = -1.0, margins: Margins = STANDARD,
+                 unseen: bool = True, masked: bool = True, discount: float = 0.99, folder: Path = FOLDER,
+                 render_mode: str | None = None):  # fmt: skip
+        if density not in DENSITIES or goal not in GOALS:
+            known = f"densities {', '.join(map(str, DENSITIES))} and goals {', '.join(GOALS)}"
+            raise ValueError(f"no junction with density {density!r} and goal {goal!r}; there are {known}")
+        super().__init__(discount, render_mode)
+        self.goal, self.timeout, self.masked = goal, timeout, masked
+        self.observation_space = gym.spaces.Box(0, 3, (2, COLUMNS, 3), np.float32)
+        self.action_space = gym.spaces.Discrete(1 + len(PROFILES))
+        self.sumo = Simulation(Path(folder) / "left.net.xml", Path(folder) / f"left-{density:g}.rou.xml")
+        self.prediction = self._predict(margins, unseen)
+        self._first = self._predict(Margins(**vars(margins) | {"extra": 0.0}), unseen)
+        self.origin = self.roads.middle - [0, ROWS / 2 * ROW]
+
+    @cached_property
+    def roads(self) -> Roads:
+        """Lanes, the own car's path and the middle of the junction."""
+        return read_roads(self.sumo.network)
+
+    def cars(self) -> tuple[np.ndarray, np.ndarray]:
+        """Poses of the own car (1, 4), or (0, 4) once it has left, and of others within 130 m of the middle (n, 4)."""
+        return self.sumo.cars()
+
+    def reset(self, *, seed: int | None = None, options: dict | None = None):
+        """Begin a trial: (observation, info)."""
+        seen, info = super().reset(seed=seed)
+        return seen, info | self._said(False)
+
+    def step(self, action):
+        """Wait or go: (observation, discounted reward of its steps, terminated, truncated, info)."""
+        replaced = self.masked and not self.safe[action]
+        seen, _, ended, late, info = super().step(WAIT if replaced else action)
+        rewards = np.array(self._costs)
+        rewards[-1] += self._worth(info["outcome"])
+        reward = float(rewards @ self.discount ** np.arange(len(rewards)))
+        return seen, reward, ended, late, info | self._said(replaced)
+
+    def close(self):
+        """Set this process's simulation free, unless another environment has taken it over."""
+        self._ended = True
+        self.sumo.close()
+
+    def _predict(self, margins, unseen):
+        path = self.roads.path
+        inside = np.linalg.norm(np.diff(path[:-1], axis=0), axis=1).sum()  # without the last point, on the new road
+        return Prediction(path, LINE, inside + LENGTH, self.roads.middle, margins, unseen)
+
+    def _begin(self, seeded):
+        new = seeded or not self.sumo.held
+        self.sumo.begin_trial(int(self.np_random.integers(2**31)) if new else None)
+        self.distance, self.braking = FAR, 0
+        for _ in range(PATIENCE):
+            if self._first.safe(self.cars()[1]).any():
+                break
+            self.sumo.drive_on(1)
+        else:
+            minutes = PATIENCE * STEP_SECONDS / 60
+            raise RuntimeError(f"no way to go was safe for {minutes:g} minutes: narrow the margins")
+        self._look_out()
+
+    def _act(self, action):
+        self._costs = []
+        return self._cross(PROFILES[action - 1]) if action != WAIT else self._wait()
+
+    def _wait(self) -> str:
+        while not self._costs or (self.masked and not self.safe[1:].any() and self.steps < MAX_STEPS):
+            self._drive_on()
+            self._look_out()
+        return ""
+
+    def _cross(self, acceleration) -> str:
+        for step in count(1):
+            self.sumo.set_off(min(acceleration * STEP_SECONDS * step, LIMIT))
+            self._drive_on()
+            own, others = self.cars()
+            brakes = lowest_acceleration() < BRAKES
+            self.braking += brakes
+            self._costs[-1] -= 0.1 * brakes if self.goal == "braking" else 0.0
+            if overlaps(own[0], others).any():
+                self.distance = 0.0
+                return "collision"
+            self.distance = min([self.distance, *gaps(own[0], others)])
+            if self.sumo.way_on("to_west") >= LENGTH:
+                return "success"
+
+    def _drive_on(self):
+        self.sumo.drive_on(1)
+        self.steps += 1
+        self._costs.append(0.0)
+
+    def _worth(self, outcome: str) -> float:
+        """Reward of how a trial ends."""
+        success = 0.1 * (self.distance - 10) if self.goal == "margin" else 1.0
+        timeout = self.timeout if self.goal == "margin" else 0.0
+        return {"": 0.0, "success": success, "timeout": timeout, "collision": CRASH}[outcome]
+
+    def _look_out(self):
+        self.safe = np.r_[True, self.prediction.safe(self.cars()[1])]
+
+    def _said(self, replaced) -> dict:
+        mask = self.safe.copy() if self.masked else np.ones_like(self.safe)
+        return {"action_mask": mask, "safe": self.safe, "replaced": replaced, "distance": self.distance,
+                "braking": self.braking}  # fmt: skip
+
+    def _ground(self):
+        return self.roads.lanes, ROW - 0.3  # [m] what is left out shows as the line between lanes
+
+    def _look(self) -> np.ndarray:
+        return grid(self.cars()[1], self.origin)[ROWS // 2 - 1 : ROWS // 2 + 1]
+
+
+def lowest_acceleration() -> float:
+    """Return that of the car [m/s^2] within 130 m of the middle, other than the own one, that brakes most, or 0."""
+    found = libsumo.junction.getContextSubscriptionResults("centre").keys() - {"ego"}
+    return min((libsumo.vehicle.getAcceleration(name) for name in found), default=0.0)
+
+
+gym.register("lifelong_lib/SafeJunction-v0", f"{__name__}:SafeJunction")
