@@ -51,7 +51,7 @@ ALLOWED = {
     "": (),
 }
 ONLY_IN = {"pybullet": ("environments.mobile_robots", "environments.camera_robots"),
-           "libsumo": ("environments.sumo",), "rerun": ("reproduction.recordings",),
+           "libsumo": ("environments.sumo", "environments.safe_junction"), "rerun": ("reproduction.recordings",),
            "stable_baselines3": ("bench",)}
 
 # What the notebook of a chapter makes; rows of later issues are added with them.
@@ -110,7 +110,7 @@ def test_a_wrong_direction_is_seen(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(("module", "loaded"), [
     ("crossing", False), ("recorded_traffic", False), ("scenes", False), ("gymnasium_envs", False),
-    ("intersections", True)])  # fmt: skip
+    ("prediction", False), ("intersections", True), ("safe_junction", True)])  # fmt: skip
 def test_only_what_drives_in_sumo_loads_it_whoever_imports_whom(module, loaded):
     """The whole chain of imports, in a process of its own."""
     code = f"import sys, lifelong_lib.environments.{module}; print('libsumo' in sys.modules)"

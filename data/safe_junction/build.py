@@ -11,8 +11,6 @@ from pathlib import Path
 HERE = Path(__file__).parent
 SPEED = 13.4  # [m/s] limit on every road, section 7.7.2
 RATES = ("0.1", "0.15", "0.4")  # cars a second on each lane: the thesis's two densities, and one beyond them
-IGNORES = ' jmIgnoreJunctionFoeProb="1"'  # chapter 5: cars with right of way do not brake for one that crosses
-GENTLE = ' emergencyDecel="4.5"'  # [m/s^2] here they do, and no harder than they would wish to (SUMO's limit is 9)
 
 
 def junctions():
@@ -32,7 +30,7 @@ if __name__ == "__main__":
         script.RATE = rate
         traffic = script.sources(*script.JUNCTIONS["left"])["rou"]
         # an own car without SUMO's random slowness, which would draw from the numbers that move the traffic
-        traffic = traffic.replace(IGNORES, GENTLE).replace('id="ego" length', 'id="ego" sigma="0" length')
+        traffic = traffic.replace('id="ego" length', 'id="ego" sigma="0" length')
         (HERE / f"left-{rate}.rou.xml").write_text(traffic)
     files = sorted(HERE.glob("*.net.xml")) + sorted(HERE.glob("*.rou.xml"))
     sums = [f"{hashlib.sha256(file.read_bytes()).hexdigest()}  {file.name}" for file in files]

@@ -51,9 +51,9 @@ class Prediction:
     """Says which profiles are safe in a scene.
 
     ``path`` (n, 2): the own car's; its front stands ``line`` metres before the path's beginning, on a straight road
-    from the south, and the car is across when its front is ``across`` metres along the path. ``middle`` (2,): of the junction.
-    ``unseen``: a car is assumed at the limit at the end of the view on each lane. ``horizon``: steps that are
-    predicted at most.
+    from the south, and the car is across when its front is ``across`` metres along the path. ``middle`` (2,): of the
+    junction. ``unseen``: a car is assumed at the limit at the end of the view on each lane. ``horizon``: steps that
+    are predicted at most.
 
     ``poses``: of the own car at every step of each profile until it is across, a list of (steps + 1, 3).
     Raises ValueError for a horizon below 1 and for a profile that is not across by then.
@@ -78,7 +78,7 @@ class Prediction:
         return self.middle[1] - np.array(DIRECTIONS) * ROW / 2
 
     def safe(self, cars: np.ndarray) -> np.ndarray:
-        """Return which profiles (profiles,) are safe, given cars (n, 4) as in `Crossing`. Those out of view do not count.
+        """Return which profiles (profiles,) are safe, given cars (n, 4) as in `Crossing`. Only those in view count.
 
         Raises ValueError for a car without a place or a speed.
         """
@@ -174,20 +174,3 @@ def covered(boxes: np.ndarray, low: float, high: float) -> np.ndarray:
     candidates, within = np.concatenate(candidates, axis=1), np.concatenate(within, axis=1)
     lowest = np.where(within, candidates, np.inf).min(axis=1)
     return np.column_stack([lowest, np.where(within, candidates, -np.inf).max(axis=1)])
-
-
-def gaps(one: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Metres (n,) between the body of the car ``one`` (4,) and those of ``others`` (n, 4) that do not overlap it."""
-    size = LENGTH, WIDTH
-    mine, theirs = corners(one[None], size), corners(others, size)
-    # Bodies are nearest to each other at a corner of one of them.
-    return np.minimum(_to_box(mine, others).min(axis=1), _to_box(theirs, one[None]).min(axis=1))
-
-
-def _to_box(points: np.ndarray, cars: np.ndarray) -> np.ndarray:
-    """Metres of points (n or 1, 4, 2) from the bodies of cars (1 or n, 4): (n, 4)."""
-    offset = points - cars[:, None, :2]
-    cos, sin = np.cos(cars[:, 2:3]), np.sin(cars[:, 2:3])
-    ahead = np.abs(offset[..., 0] * cos + offset[..., 1] * sin) - LENGTH / 2
-    aside = np.abs(offset[..., 1] * cos - offset[..., 0] * sin) - WIDTH / 2
-    return np.hypot(np.maximum(ahead, 0), np.maximum(aside, 0))

@@ -1,7 +1,8 @@
 """A left turn in SUMO on which traffic reacts and unsafe actions are masked (thesis section 7.7).
 
-The junction stands in data/safe_junction; build.py there makes it. Cars with right of way brake, as SUMO's intelligent
-drivers do, for an own car that has entered the junction. Registered as lifelong_lib/SafeJunction-v0.
+The junction stands in data/safe_junction; build.py there makes it. SUMO's cars follow those ahead of them on their own
+road; here they also brake for an own car that reaches into their lane from the side. Registered as
+lifelong_lib/SafeJunction-v0.
 """
 
 from functools import cached_property
@@ -11,6 +12,7 @@ from pathlib import Path
 import gymnasium as gym
 import libsumo
 import numpy as np
+from libsumo import constants
 
 from lifelong_lib.environments.crossing import (
     COLUMNS,
@@ -19,11 +21,21 @@ from lifelong_lib.environments.crossing import (
     ROW,
     ROWS,
     STEP_SECONDS,
+    WIDTH,
     Crossing,
     grid,
     overlaps,
 )
-from lifelong_lib.environments.prediction import LIMIT, PROFILES, STANDARD, Margins, Prediction, gaps
+from lifelong_lib.environments.prediction import (
+    DIRECTIONS,
+    LIMIT,
+    PROFILES,
+    STANDARD,
+    Margins,
+    Prediction,
+    corners,
+    covered,
+)
 from lifelong_lib.environments.sumo import Roads, Simulation, read_roads
 
 FOLDER = Path(__file__).resolve().parents[2] / "data" / "safe_junction"
@@ -33,6 +45,7 @@ WAIT = 0  # actions 1, 2, 3 are to go with PROFILES
 LINE = 0.1  # [m] from the own car's front to the end of its lane
 FAR = 50.0  # [m] distances count up to here, section 7.7.2
 BRAKES = -0.5  # [m/s^2] below which a car brakes
+HARDEST = 4.5  # [m/s^2] that an own car is taken to be able to brake by
 CRASH = -10.0  # reward of a collision, which only cars without a mask get
 PATIENCE = 9000  # steps in which the first safe moment must come
 
@@ -43,11 +56,12 @@ class SafeJunction(Crossing):
     To wait lasts until there is a safe way to go again, without ``masked`` one step. To go lasts until the whole car is
     on its new road, or collides. The trial ends as a time-out 100 steps after its beginning if the car still waits.
 
-    ``density``: cars a second on each lane. ``goal``: "margin", a success is worth 0.1 (d - 10) with d the smallest
-    distance to another car while crossing [m], at most 50, and a time-out ``timeout``; "braking", a success is worth 1,
-    and -0.1 each step in which a car brakes by more than 0.5 m/s^2 because of going. ``margins``, ``unseen``: of the
-    prediction; the first safe moment is that without the extra margin. ``masked``: an action that is not safe is
-    replaced by waiting. ``discount``, ``render_mode``: as in `Crossing`. ``folder``: where the network is.
+    ``density``: cars a second on each lane. ``goal``: "margin", a success is worth 0.1 (d - 10), with d the smallest
+    distance [m] of the own car's middle from that of another one while it crosses, at most 50, and a time-out is worth
+    ``timeout``; "braking", a success is worth 1, and each step of crossing in which a car brakes by more than 0.5 m/s^2
+    costs 0.1. ``margins``, ``unseen``: of the prediction; the extra margin does not count for the first safe moment.
+    ``masked``: an action that is not safe is replaced by waiting. ``discount``, ``render_mode``: as in `Crossing`.
+    ``folder``: where the network is.
 
     Observations (2, 26, 3): the two lanes of `grid`. ``info`` has ``steps`` and ``outcome`` as in `Crossing`;
     ``action_mask`` (4,), what is allowed next; ``safe`` (4,), what is safe next; ``replaced``, whether the action was;
@@ -127,19 +141,20 @@ class SafeJunction(Crossing):
         return ""
 
     def _cross(self, acceleration) -> str:
+        held = ()
         for step in count(1):
+            held = react(self.cars()[0][0], self.prediction.lanes(), held)
             self.sumo.set_off(min(acceleration * STEP_SECONDS * step, LIMIT))
             self._drive_on()
             own, others = self.cars()
             brakes = lowest_acceleration() < BRAKES
             self.braking += brakes
             self._costs[-1] -= 0.1 * brakes if self.goal == "braking" else 0.0
-            if overlaps(own[0], others).any():
-                self.distance = 0.0
-                return "collision"
-            self.distance = min([self.distance, *gaps(own[0], others)])
-            if self.sumo.way_on("to_west") >= LENGTH:
-                return "success"
+            hit = overlaps(own[0], others).any()
+            self.distance = min([self.distance, *np.linalg.norm(others[:, :2] - own[0, :2], axis=1)])
+            if hit or self.sumo.way_on("to_west") >= LENGTH:
+                let_go(held)
+                return "collision" if hit else "success"
 
     def _drive_on(self):
         self.sumo.drive_on(1)
@@ -157,7 +172,7 @@ class SafeJunction(Crossing):
 
     def _said(self, replaced) -> dict:
         mask = self.safe.copy() if self.masked else np.ones_like(self.safe)
-        return {"action_mask": mask, "safe": self.safe, "replaced": replaced, "distance": self.distance,
+        return {"action_mask": mask, "safe": self.safe.copy(), "replaced": replaced, "distance": self.distance,
                 "braking": self.braking}  # fmt: skip
 
     def _ground(self):
@@ -167,10 +182,50 @@ class SafeJunction(Crossing):
         return grid(self.cars()[1], self.origin)[ROWS // 2 - 1 : ROWS // 2 + 1]
 
 
+def react(own: np.ndarray, lanes: np.ndarray, held: tuple) -> tuple:
+    """Have the next car on each lane that the own car (4,) reaches into brake for it; return the names of these cars.
+
+    How fast such a car drives in the next step is what SUMO's car-following model answers for the gap to the own car's
+    body and the own car's speed along the lane. For this no car brakes harder than it likes to, by 4.5 m/s^2.
+    ``lanes`` (2,): their middles; ``held``: names that the last call returned.
+    """
+    let_go(held)
+    names = []
+    body = corners(own[None], (LENGTH, WIDTH))
+    for lane, direction in zip(lanes, DIRECTIONS, strict=True):
+        low, high = covered(body, lane - ROW / 2, lane + ROW / 2)[0]
+        back = low if direction > 0 else high  # the end of the body that a car on the lane comes to
+        behind = {}
+        for name, car in others_around().items():
+            (x, y), speed = car[constants.VAR_POSITION], car[constants.VAR_SPEED]
+            gap = direction * (back - x)  # x is that of a car's front
+            if low <= high and gap >= 0 and abs(y - lane) < ROW / 2:
+                behind[gap] = name, speed
+        if behind:
+            gap = min(behind)
+            name, speed = behind[gap]
+            along = max(0.0, direction * own[3] * np.cos(own[2]))
+            followed = libsumo.vehicle.getFollowSpeed(name, speed, gap, along, HARDEST, "ego")
+            libsumo.vehicle.setSpeed(name, max(0.0, followed))
+            names.append(name)
+    return tuple(names)
+
+
+def let_go(names: tuple) -> None:
+    """Leave cars to SUMO again."""
+    for name in names:
+        libsumo.vehicle.setSpeed(name, -1)
+
+
+def others_around() -> dict:
+    """Return what SUMO reads, at every step, of the cars within 130 m other than the own one, by name."""
+    found = libsumo.junction.getContextSubscriptionResults("centre")
+    return {name: car for name, car in found.items() if name != "ego"}
+
+
 def lowest_acceleration() -> float:
     """Return that of the car [m/s^2] within 130 m of the middle, other than the own one, that brakes most, or 0."""
-    found = libsumo.junction.getContextSubscriptionResults("centre").keys() - {"ego"}
-    return min((libsumo.vehicle.getAcceleration(name) for name in found), default=0.0)
+    return min((libsumo.vehicle.getAcceleration(name) for name in others_around()), default=0.0)
 
 
 gym.register("lifelong_lib/SafeJunction-v0", f"{__name__}:SafeJunction")
