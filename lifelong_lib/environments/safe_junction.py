@@ -12,7 +12,6 @@ from pathlib import Path
 import gymnasium as gym
 import libsumo
 import numpy as np
-from libsumo import constants
 
 from lifelong_lib.environments.crossing import (
     COLUMNS,
@@ -36,7 +35,7 @@ from lifelong_lib.environments.prediction import (
     corners,
     covered,
 )
-from lifelong_lib.environments.sumo import Roads, Simulation, read_roads
+from lifelong_lib.environments.sumo import READ, Roads, Simulation, read_roads
 
 FOLDER = Path(__file__).resolve().parents[2] / "data" / "safe_junction"
 DENSITIES = (0.1, 0.15, 0.4)  # cars a second on each lane
@@ -196,9 +195,8 @@ def react(own: np.ndarray, lanes: np.ndarray, held: tuple) -> tuple:
         low, high = covered(body, lane - ROW / 2, lane + ROW / 2)[0]
         back = low if direction > 0 else high  # the end of the body that a car on the lane comes to
         behind = {}
-        for name, car in others_around().items():
-            (x, y), speed = car[constants.VAR_POSITION], car[constants.VAR_SPEED]
-            gap = direction * (back - x)  # x is that of a car's front
+        for name, (x, y, speed) in others_around().items():
+            gap = direction * (back - x)
             if low <= high and gap >= 0 and abs(y - lane) < ROW / 2:
                 behind[gap] = name, speed
         if behind:
@@ -217,10 +215,10 @@ def let_go(names: tuple) -> None:
         libsumo.vehicle.setSpeed(name, -1)
 
 
-def others_around() -> dict:
-    """Return what SUMO reads, at every step, of the cars within 130 m other than the own one, by name."""
+def others_around() -> dict[str, tuple[float, float, float]]:
+    """Return x and y of the front [m] and the speed of each car within 130 m other than the own one, by name."""
     found = libsumo.junction.getContextSubscriptionResults("centre")
-    return {name: car for name, car in found.items() if name != "ego"}
+    return {name: (*car[READ[0]], car[READ[2]]) for name, car in found.items() if name != "ego"}
 
 
 def lowest_acceleration() -> float:
