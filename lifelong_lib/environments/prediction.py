@@ -52,18 +52,18 @@ class Prediction:
 
     ``path`` (n, 2): the own car's; its front stands ``line`` metres before the path's beginning, on a straight road
     from the south, and the car is across when its front is ``across`` metres along the path. ``middle`` (2,): of the
-    junction. ``unseen``: a car is assumed at the limit at the end of the view on each lane. ``horizon``: steps that
-    are predicted at most.
+    junction. ``view``: metres to both sides that are seen. ``unseen``: a car is assumed at the limit at the end of
+    the view on each lane. ``horizon``: steps that are predicted at most.
 
     ``poses``: of the own car at every step of each profile until it is across, a list of (steps + 1, 3).
     Raises ValueError for a horizon below 1 and for a profile that is not across by then.
     """
 
     def __init__(self, path: np.ndarray, line: float, across: float, middle: np.ndarray, margins: Margins,
-                 unseen: bool = True, horizon: int = 60, profiles: tuple = PROFILES):  # fmt: skip
+                 unseen: bool = True, view: float = VIEW, horizon: int = 60, profiles: tuple = PROFILES):  # fmt: skip
         if horizon < 1:
             raise ValueError(f"a prediction needs a horizon of 1 step or more, not {horizon}")
-        self.margins, self.middle, self.poses = margins, np.asarray(middle, float), []
+        self.margins, self.middle, self.view, self.poses = margins, np.asarray(middle, float), view, []
         for profile in profiles:
             fronts = travelled(profile, horizon) - line
             if not fronts[-1] >= across:
@@ -103,9 +103,9 @@ class Prediction:
 
     def _assumed(self, cars):
         """Place and velocity along x, lane and extra margin of all cars that are reckoned with, (n,) each."""
-        cars = cars[np.abs(cars[:, 0] - self.middle[0]) <= VIEW]
+        cars = cars[np.abs(cars[:, 0] - self.middle[0]) <= self.view]
         count, more = len(cars), len(self._unseen)
-        places = np.concatenate([cars[:, 0], self.middle[0] - VIEW * self._unseen])
+        places = np.concatenate([cars[:, 0], self.middle[0] - self.view * self._unseen])
         velocities = np.concatenate([cars[:, 3] * np.cos(cars[:, 2]), LIMIT * self._unseen])
         lanes = np.concatenate([cars[:, 1] > self.middle[1], np.arange(more)]).astype(int)
         return places, velocities, lanes, np.repeat([self.margins.extra, 0.0], [count, more])

@@ -30,6 +30,7 @@ from lifelong_lib.environments.prediction import (
     LIMIT,
     PROFILES,
     STANDARD,
+    VIEW,
     Margins,
     Prediction,
     corners,
@@ -58,9 +59,9 @@ class SafeJunction(Crossing):
     ``density``: cars a second on each lane. ``goal``: "margin", a success is worth 0.1 (d - 10), with d the smallest
     distance [m] of the own car's middle from that of another one while it crosses, at most 50, and a time-out is worth
     ``timeout``; "braking", a success is worth 1, and each step of crossing in which a car brakes by more than 0.5 m/s^2
-    costs 0.1. ``margins``, ``unseen``: of the prediction; the extra margin does not count for the first safe moment.
-    ``masked``: an action that is not safe is replaced by waiting. ``discount``, ``render_mode``: as in `Crossing`.
-    ``folder``: where the network is.
+    costs 0.1. ``margins``, ``unseen``, ``view``: of the prediction; an extra margin does not count for the first safe
+    moment. ``masked``: an action that is not safe is replaced by waiting. ``discount``, ``render_mode``: as in
+    `Crossing`. ``folder``: where the network is.
 
     Observations (2, 26, 3): the two lanes of `grid`. ``info`` has ``steps`` and ``outcome`` as in `Crossing`;
     ``action_mask`` (4,), what is allowed next; ``safe`` (4,), what is safe next; ``replaced``, whether the action was;
@@ -69,8 +70,8 @@ class SafeJunction(Crossing):
     """
 
     def __init__(self, density: float = 0.1, goal: str = "margin", timeout: float = -1.0, margins: Margins = STANDARD,
-                 unseen: bool = True, masked: bool = True, discount: float = 0.99, folder: Path = FOLDER,
-                 render_mode: str | None = None):  # fmt: skip
+                 unseen: bool = True, view: float = VIEW, masked: bool = True, discount: float = 0.99,
+                 folder: Path = FOLDER, render_mode: str | None = None):  # fmt: skip
         if density not in DENSITIES or goal not in GOALS:
             known = f"densities {', '.join(map(str, DENSITIES))} and goals {', '.join(GOALS)}"
             raise ValueError(f"no junction with density {density!r} and goal {goal!r}; there are {known}")
@@ -79,8 +80,8 @@ class SafeJunction(Crossing):
         self.observation_space = gym.spaces.Box(0, 3, (2, COLUMNS, 3), np.float32)
         self.action_space = gym.spaces.Discrete(1 + len(PROFILES))
         self.sumo = Simulation(Path(folder) / "left.net.xml", Path(folder) / f"left-{density:g}.rou.xml")
-        self.prediction = self._predict(margins, unseen)
-        self._first = self._predict(Margins(**vars(margins) | {"extra": 0.0}), unseen)
+        self.prediction = self._predict(margins, unseen, view)
+        self._first = self._predict(Margins(**vars(margins) | {"extra": 0.0}), unseen, view)
         self.origin = self.roads.middle - [0, ROWS / 2 * ROW]
 
     @cached_property
@@ -111,10 +112,10 @@ class SafeJunction(Crossing):
         self._ended = True
         self.sumo.close()
 
-    def _predict(self, margins, unseen):
+    def _predict(self, margins, unseen, view):
         path = self.roads.path
         inside = np.linalg.norm(np.diff(path[:-1], axis=0), axis=1).sum()  # without the last point, on the new road
-        return Prediction(path, LINE, inside + LENGTH, self.roads.middle, margins, unseen)
+        return Prediction(path, LINE, inside + LENGTH, self.roads.middle, margins, unseen, view)
 
     def _begin(self, seeded):
         new = seeded or not self.sumo.held
