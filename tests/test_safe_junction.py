@@ -99,7 +99,7 @@ def test_the_same_seed_is_the_same_trial_and_without_one_traffic_drives_on(junct
 
 
 def test_a_car_drives_exactly_as_predicted(junction):
-    env = junction(masked=False)
+    env = junction(safety="none")
     for action, predicted in enumerate(env.prediction.poses, 1):
         for seed in range(30):
             env.reset(seed=seed)
@@ -129,7 +129,7 @@ def test_what_is_seen_are_two_lanes(junction):
 # ---------------------------------------------------------------------------------------------------------------- mask
 
 def test_masked_cars_never_collide_and_others_do(junction):
-    safe, blind = (random_trials(junction(density=0.15, masked=masked), 60, seed=2) for masked in (True, False))
+    safe, blind = (random_trials(junction(density=0.15, safety=safety), 60, seed=2) for safety in ("mask", "none"))
     assert {info["outcome"] for info in safe} <= {"success", "timeout"}
     assert sum(info["outcome"] == "collision" for info in blind) >= 3
 
@@ -140,15 +140,24 @@ def test_what_is_not_safe_is_replaced_by_waiting(junction):
     assert not info["safe"][1] and not info["replaced"]  # the slowest profile, who may come into view
     _, _, ended, late, info = env.step(1)
     assert info["replaced"] and not ended and not late and env.cars()[0][0, 3] == 0
-    env = junction(masked=False)
+    env = junction(safety="none")
     _, info = env.reset(seed=0)
     assert info["action_mask"].all() and not info["safe"][1]
     assert env.step(1)[2]
 
 
+def test_a_shield_says_that_all_is_allowed_and_takes_its_penalty(junction):
+    env = junction(safety="shield", shield_penalty=2.0)
+    _, info = env.reset(seed=0)
+    assert info["action_mask"].all() and not info["safe"][1]
+    _, reward, _, _, info = env.step(1)
+    assert info["replaced"] and reward == -2.0
+    assert env.step(0)[1] == 0
+
+
 def test_the_mask_knows_the_cars_of_its_moment_only_and_not_what_comes(junction):
     """Trials of one seed with two futures have the same masks until they part, and those follow from the cars alone."""
-    env, masks = junction(masked=False), []
+    env, masks = junction(safety="none"), []
     for waits in (5, 12):
         _, info = env.reset(seed=4)
         masks.append([info["safe"]])
@@ -197,7 +206,7 @@ def hardest_braking(env, seed, go):
 
 
 def test_a_car_that_is_cut_off_at_3_seconds_brakes_and_one_that_is_not_does_not(junction):
-    env = junction(masked=False)
+    env = junction(safety="none")
     for seed in range(4):
         assert hardest_braking(env, seed, go=False) > BRAKES
         assert -4.5 - 1e-6 <= hardest_braking(env, seed, go=True) < -1
@@ -229,9 +238,12 @@ def test_traffic_hardly_ever_brakes_without_the_own_car(density, junction):
 
 # ----------------------------------------------------------------------------------------------------------- bad input
 
-@pytest.mark.parametrize("more", [{"density": 0.2}, {"goal": "speed"}])
-def test_an_unknown_density_or_goal_is_answered_with_those_that_there_are(more):
-    with pytest.raises(ValueError, match=r"densities 0.1, 0.15, 0.4 and goals margin, braking"):
+@pytest.mark.parametrize(("more", "known"), [
+    ({"density": 0.2}, "density 0.2; there are 0.1, 0.15, 0.4"),
+    ({"goal": "speed"}, "goal 'speed'; there are margin, braking"),
+    ({"safety": "belt"}, "safety 'belt'; there are mask, shield, none")])
+def test_an_unknown_choice_is_answered_with_those_that_there_are(more, known):
+    with pytest.raises(ValueError, match=known):
         SafeJunction(**more)
 
 

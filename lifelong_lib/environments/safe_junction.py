@@ -41,6 +41,7 @@ from lifelong_lib.environments.sumo import READ, Roads, Simulation, read_roads
 FOLDER = Path(__file__).resolve().parents[2] / "data" / "safe_junction"
 DENSITIES = (0.1, 0.15, 0.4)  # cars a second on each lane
 GOALS = ("margin", "braking")
+SAFETIES = ("mask", "shield", "none")
 WAIT = 0  # actions 1, 2, 3 are to go with PROFILES
 LINE = 0.1  # [m] from the own car's front to the end of its lane
 FAR = 50.0  # [m] distances count up to here, section 7.7.2
@@ -53,15 +54,16 @@ PATIENCE = 9000  # steps in which the first safe moment must come
 class SafeJunction(Crossing):
     """A trial, from the first moment at which a way to go is safe: wait, or go with one of three accelerations.
 
-    To wait lasts until there is a safe way to go again, without ``masked`` one step. To go lasts until the whole car is
+    To wait lasts until there is a safe way to go again, without ``safety`` one step. To go lasts until the whole car is
     on its new road, or collides. The trial ends as a time-out 100 steps after its beginning if the car still waits.
 
     ``density``: cars a second on each lane. ``goal``: "margin", a success is worth 0.1 (d - 10), with d the smallest
     distance [m] of the own car's middle from that of another one while it crosses, at most 50, and a time-out is worth
     ``timeout``; "braking", a success is worth 1, and each step of crossing in which a car brakes by more than 0.5 m/s^2
     costs 0.1. ``margins``, ``unseen``, ``view``: of the prediction; an extra margin does not count for the first safe
-    moment. ``masked``: an action that is not safe is replaced by waiting. ``discount``, ``render_mode``: as in
-    `Crossing`. ``folder``: where the network is.
+    moment. ``safety``: "mask" or "shield", an action that is not safe is replaced by waiting, which with a shield takes
+    ``shield_penalty`` off the reward, as a shield lets all actions be chosen; or "none".
+    ``discount``, ``render_mode``: as in `Crossing`. ``folder``: where the network is.
 
     Observations (2, 26, 3): the two lanes of `grid`. ``info`` has ``steps`` and ``outcome`` as in `Crossing`;
     ``action_mask`` (4,), what is allowed next; ``safe`` (4,), what is safe next; ``replaced``, whether the action was;
@@ -70,13 +72,14 @@ class SafeJunction(Crossing):
     """
 
     def __init__(self, density: float = 0.1, goal: str = "margin", timeout: float = -1.0, margins: Margins = STANDARD,
-                 unseen: bool = True, view: float = VIEW, masked: bool = True, discount: float = 0.99,
-                 folder: Path = FOLDER, render_mode: str | None = None):  # fmt: skip
-        if density not in DENSITIES or goal not in GOALS:
-            known = f"densities {', '.join(map(str, DENSITIES))} and goals {', '.join(GOALS)}"
-            raise ValueError(f"no junction with density {density!r} and goal {goal!r}; there are {known}")
+                 unseen: bool = True, view: float = VIEW, safety: str = "mask", shield_penalty: float = 1.0,
+                 discount: float = 0.99, folder: Path = FOLDER, render_mode: str | None = None):  # fmt: skip
+        choices = ("density", density, DENSITIES), ("goal", goal, GOALS), ("safety", safety, SAFETIES)
+        for name, value, known in choices:
+            if value not in known:
+                raise ValueError(f"no junction with the {name} {value!r}; there are {', '.join(map(str, known))}")
         super().__init__(discount, render_mode)
-        self.goal, self.timeout, self.masked = goal, timeout, masked
+        self.goal, self.timeout, self.safety, self.shield_penalty = goal, timeout, safety, shield_penalty
         self.observation_space = gym.spaces.Box(0, 3, (2, COLUMNS, 3), np.float32)
         self.action_space = gym.spaces.Discrete(1 + len(PROFILES))
         self.sumo = Simulation(Path(folder) / "left.net.xml", Path(folder) / f"left-{density:g}.rou.xml")
@@ -100,10 +103,11 @@ class SafeJunction(Crossing):
 
     def step(self, action):
         """Wait or go: (observation, discounted reward of its steps, terminated, truncated, info)."""
-        replaced = self.masked and not self.safe[action]
+        replaced = self.safety != "none" and not self.safe[action]
         seen, _, ended, late, info = super().step(WAIT if replaced else action)
         rewards = np.array(self._costs)
         rewards[-1] += self._worth(info["outcome"])
+        rewards[0] -= self.shield_penalty * replaced
         reward = float(rewards @ self.discount ** np.arange(len(rewards)))
         return seen, reward, ended, late, info | self._said(replaced)
 
@@ -135,7 +139,7 @@ class SafeJunction(Crossing):
         return self._cross(PROFILES[action - 1]) if action != WAIT else self._wait()
 
     def _wait(self) -> str:
-        while not self._costs or (self.masked and not self.safe[1:].any() and self.steps < MAX_STEPS):
+        while not self._costs or (self.safety != "none" and not self.safe[1:].any() and self.steps < MAX_STEPS):
             self._drive_on()
             self._look_out()
         return ""
@@ -171,7 +175,7 @@ class SafeJunction(Crossing):
         self.safe = np.r_[True, self.prediction.safe(self.cars()[1])]
 
     def _said(self, replaced) -> dict:
-        mask = self.safe.copy() if self.masked else np.ones_like(self.safe)
+        mask = self.safe.copy() if self.safety == "mask" else np.ones_like(self.safe)
         return {"action_mask": mask, "safe": self.safe.copy(), "replaced": replaced, "distance": self.distance,
                 "braking": self.braking}  # fmt: skip
 
