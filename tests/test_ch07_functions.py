@@ -70,6 +70,13 @@ def test_errors_of_forecasts_count_forwards_for_both_directions_and_only_for_car
     assert errors == pytest.approx(np.array([[0, 0], [-0.5, -1.0]]))
 
 
+def test_braking_without_an_own_car_counts_steps_in_which_any_car_slows_down_by_half_a_metre():
+    space = load(7, "ordinary_braking", BRAKES=-0.5, STEP_SECONDS=0.2)
+    frames = [{"a": (0, 0, 10.0), "b": (0, 0, 9.0)}, {"a": (0, 0, 9.95), "b": (0, 0, 9.0)},
+              {"a": (0, 0, 9.95), "b": (0, 0, 8.8), "new": (0, 0, 1.0)}, {"new": (0, 0, 2.0)}, {}]  # fmt: skip
+    assert space.ordinary_braking(frames) == 1 / 4
+
+
 def test_c7_8_looks_at_six_deviations_and_at_the_worse_side(tmp_path):
     rates = np.zeros((3, 4, 3))
     rates[:, 3] = [0.02, 0.001, 0.01]

@@ -18,6 +18,7 @@ PROFILES = (0.5, 1.0, 1.5)  # [m/s^2] of the own car, section 7.7.2
 LIMIT = 13.4  # [m/s] on all roads, section 7.7.2
 VIEW = 100.0  # [m] to both sides, section 7.7.2
 DIRECTIONS = (1, -1)  # of the lanes: eastwards in the south, westwards in the north
+APART = 1e6  # [m] more than any place
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,9 @@ class Prediction:
                 raise ValueError(f"a car that speeds up by {profile} m/s^2 is not across within {seconds:g} s")
             self.poses.append(poses_along(path, fronts[: np.argmax(fronts >= across) + 1]))
         self._work_out()
-        self._unseen = np.array(DIRECTIONS) if unseen else np.zeros(0)
+        ends = self.middle[0] - view * np.array(DIRECTIONS)
+        self._unseen = np.column_stack([ends, self.lanes(), np.arccos(DIRECTIONS), [LIMIT] * 2])[: 2 * unseen]
+        self._free = ~self._met(self._unseen, 0.0)
 
     def lanes(self) -> np.ndarray:
         """Heights y of the middles of both lanes (2,) [m]."""
@@ -85,35 +88,36 @@ class Prediction:
         cars = np.asarray(cars, float)
         if not np.isfinite(cars).all():
             raise ValueError("a car of the scene has no place, heading or speed: all four numbers must be finite")
-        places, velocities, lanes, extra = self._assumed(cars)
-        ahead = places + velocities * self._seconds  # (moments, cars)
-        meets = (ahead + extra >= self._low) & (ahead - extra <= self._high) & (lanes == self._lane)
-        return ~np.logical_or.reduceat(meets.any(axis=1), self._begins)
+        return self._free & ~self._met(self._seen(cars), self.margins.extra)
 
     def regions(self, cars: np.ndarray, step: int) -> np.ndarray:
         """Return what traffic may cover after so many steps: x, y, length and width [m] of each region (n, 4).
 
         First come the cars in view, then those that are assumed at its end.
         """
-        places, velocities, lanes, extra = self._assumed(np.asarray(cars, float))
-        seconds = step * STEP_SECONDS
+        seen, seconds = self._seen(np.asarray(cars, float)), step * STEP_SECONDS
+        cars = np.concatenate([seen, self._unseen])
+        extra = np.repeat([self.margins.extra, 0.0], [len(seen), len(self._unseen)])
         length = LENGTH + 2 * (self.margins.of_traffic(seconds) + extra)
-        width = np.full(len(places), WIDTH + 2 * self.margins.aside)
-        return np.column_stack([places + velocities * seconds, self.lanes()[lanes], length, width])
+        width = np.full(len(cars), WIDTH + 2 * self.margins.aside)
+        lanes = self.lanes()[(cars[:, 1] > self.middle[1]).astype(int)]
+        return np.column_stack([cars[:, 0] + velocities(cars) * seconds, lanes, length, width])
 
-    def _assumed(self, cars):
-        """Place and velocity along x, lane and extra margin of all cars that are reckoned with, (n,) each."""
-        cars = cars[np.abs(cars[:, 0] - self.middle[0]) <= self.view]
-        count, more = len(cars), len(self._unseen)
-        places = np.concatenate([cars[:, 0], self.middle[0] - self.view * self._unseen])
-        velocities = np.concatenate([cars[:, 3] * np.cos(cars[:, 2]), LIMIT * self._unseen])
-        lanes = np.concatenate([cars[:, 1] > self.middle[1], np.arange(more)]).astype(int)
-        return places, velocities, lanes, np.repeat([self.margins.extra, 0.0], [count, more])
+    def _seen(self, cars):
+        return cars[np.abs(cars[:, 0] - self.middle[0]) <= self.view]
+
+    def _met(self, cars, extra):
+        """On which profiles (profiles,) the own car meets any of the cars (n, 4), with an extra margin of theirs."""
+        places = cars[:, 0] + APART * (cars[:, 1] > self.middle[1])
+        places = places + velocities(cars) * self._seconds  # (moments, cars)
+        meets = (places >= self._low - extra) & (places <= self._high + extra)
+        return np.logical_or.reduceat(meets.any(axis=1), self._begins)
 
     def _work_out(self):
         """Note all moments at which the own car's region covers a part of a lane, profile after profile.
 
-        A car meets it if its middle is from ``_low`` to ``_high`` at ``_seconds`` on ``_lane``, (moments, 1) each.
+        A car meets it if its middle is from ``_low`` to ``_high`` at ``_seconds``, (moments, 1) each. Places on the
+        second lane are APART from those on the first, so that one comparison tells lanes apart too.
         """
         size = LENGTH + 2 * self.margins.own, WIDTH + 2 * self.margins.aside
         half = WIDTH / 2 + self.margins.aside
@@ -122,13 +126,17 @@ class Prediction:
             seconds = np.arange(len(poses)) * STEP_SECONDS
             reach = LENGTH / 2 + self.margins.of_traffic(seconds)
             for lane, y in enumerate(self.lanes()):
-                low, high = covered(corners(poses, size), y - half, y + half).T
-                same = np.ones_like(seconds)
-                rows = np.column_stack([number * same, lane * same, seconds, low - reach, high + reach])
+                low, high = (covered(corners(poses, size), y - half, y + half) + APART * lane).T
+                rows = np.column_stack([np.full(len(poses), number), seconds, low - reach, high + reach])
                 moments.append(rows[low <= high])
         numbers, *columns = np.concatenate(moments).T
-        self._lane, self._seconds, self._low, self._high = (column[:, None] for column in columns)
+        self._seconds, self._low, self._high = (column[:, None] for column in columns)
         self._begins = np.searchsorted(numbers, np.arange(len(self.poses)))
+
+
+def velocities(cars: np.ndarray) -> np.ndarray:
+    """Speeds of cars (n, 4) along the x axis [m/s]."""
+    return cars[:, 3] * np.cos(cars[:, 2])
 
 
 def travelled(acceleration: float, steps: int) -> np.ndarray:
