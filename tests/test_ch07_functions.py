@@ -83,7 +83,7 @@ def test_c7_8_looks_at_six_deviations_and_at_the_worse_side(tmp_path):
     names = vars(load(7, *BOUNDS, "rate_parts"))
     space = SimpleNamespace(**names, COUNTS=(2, 3, 4, 6), density=0.1, measured_seeds=3)
     space.forecasts = SimpleNamespace(stack=lambda key, density: {
-        "beyond": rates, "beyond 2 m": np.full((3, 3), 0.1)}[key])  # fmt: skip
+        "beyond": rates, "without growth": np.full((3, 3), 0.1)}[key])  # fmt: skip
     claim = judge(7, "C7.8", space, tmp_path)
     assert claim.verdict == "holds" and claim.control_verdict == "contradicted"
     assert claim.measured["rate on both sides over Chebyshev's bound"] == pytest.approx(0.02 * 36)
