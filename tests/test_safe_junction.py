@@ -9,6 +9,7 @@ import pytest
 from conftest import trial
 from gymnasium.utils.env_checker import check_env
 
+from lifelong_lib.environments.pictures import OTHER, OWN
 from lifelong_lib.environments.prediction import LIMIT, PROFILES, Margins
 from lifelong_lib.environments.safe_junction import BRAKES, FOLDER, SafeJunction, lowest_acceleration, react
 
@@ -124,6 +125,15 @@ def test_what_is_seen_are_two_lanes(junction):
         row, column = int(y > env.roads.middle[1]), int((x - env.roads.middle[0] + 100) // (200 / 26))
         assert image[row, column] == pytest.approx([1 - row, speed / 20, 1], abs=1e-6)
         assert np.cos(heading) * (1 - 2 * row) > 0
+
+
+def test_a_picture_shows_the_own_car_and_the_others(junction):
+    env = junction(render_mode="rgb_array")
+    env.reset(seed=3)
+    picture = env.render().reshape(-1, 3)
+    assert env.render().shape == (288, 1000, 3)
+    own, others = (int((picture == colour).all(axis=1).sum()) for colour in (OWN, OTHER))
+    assert own == pytest.approx(5 * 1.8 * 25, rel=0.3) and others > own
 
 
 # ---------------------------------------------------------------------------------------------------------------- mask

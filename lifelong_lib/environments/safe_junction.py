@@ -68,7 +68,7 @@ class SafeJunction(Crossing):
     Observations (2, 26, 3): the two lanes of `grid`. ``info`` has ``steps`` and ``outcome`` as in `Crossing`;
     ``action_mask`` (4,), what is allowed next; ``safe`` (4,), what is safe next; ``replaced``, whether the action was;
     ``distance``, d, and ``braking``, steps with a car that brakes. Resets are those of `Intersection`. Raises
-    ValueError for an unknown density, goal or render mode, and for files that are not those of build.py.
+    ValueError for an unknown density, goal, safety or render mode, and for files that are not those of build.py.
     """
 
     def __init__(self, density: float = 0.1, goal: str = "margin", timeout: float = -1.0, margins: Margins = STANDARD,
