@@ -9,9 +9,10 @@ import pytest
 from conftest import trial
 from gymnasium.utils.env_checker import check_env
 
+from lifelong_lib.environments.crossing import overlaps
 from lifelong_lib.environments.pictures import OTHER, OWN
 from lifelong_lib.environments.prediction import LIMIT, PROFILES, Margins
-from lifelong_lib.environments.safe_junction import BRAKES, FOLDER, SafeJunction, lowest_acceleration, react
+from lifelong_lib.environments.safe_junction import BRAKES, FOLDER, SafeJunction, lowest_acceleration
 
 GO = len(PROFILES)  # with the highest acceleration
 
@@ -139,9 +140,23 @@ def test_a_picture_shows_the_own_car_and_the_others(junction):
 # ---------------------------------------------------------------------------------------------------------------- mask
 
 def test_masked_cars_never_collide_and_others_do(junction):
-    safe, blind = (random_trials(junction(density=0.15, safety=safety), 60, seed=2) for safety in ("mask", "none"))
+    safe, blind = (random_trials(junction(density=0.15, safety=safety), 40, seed=2) for safety in ("mask", "none"))
     assert {info["outcome"] for info in safe} <= {"success", "timeout"}
-    assert sum(info["outcome"] == "collision" for info in blind) >= 3
+    assert sum(info["outcome"] == "collision" for info in blind) >= 2
+
+
+def test_nobody_runs_into_a_car_that_is_across(junction):
+    """A trial ends when the whole car is on its new road, half as fast as others. For 10 s more nobody hits it."""
+    env = junction()
+    for seed in range(10):
+        _, info = env.reset(seed=seed)
+        assert env.step(int(np.flatnonzero(info["safe"])[-1]))[4]["outcome"] == "success"
+        libsumo.vehicle.setSpeedMode("ego", 31)  # SUMO drives it from here
+        libsumo.vehicle.setSpeed("ego", -1)
+        for _ in range(50):
+            env.sumo.drive_on(1)
+            own, others = env.cars()
+            assert not len(own) or not overlaps(own[0], others).any()
 
 
 def test_what_is_not_safe_is_replaced_by_waiting(junction):
@@ -205,13 +220,19 @@ def hardest_braking(env, seed, go):
         if name and 2.9 < away / libsumo.vehicle.getSpeed(name) < 3.1:
             break
         env.sumo.drive_on(1)
-    accelerations, held = [], ()
-    for step in range(1, 26):
-        if go:
-            held = react(env.cars()[0][0], env.prediction.lanes(), held)
-            env.sumo.set_off(PROFILES[-1] * 0.2 * step)
-        env.sumo.drive_on(1)
+    accelerations, drive_on = [], env.sumo.drive_on
+
+    def noting(steps):
+        drive_on(steps)
         accelerations.append(libsumo.vehicle.getAcceleration(name))
+
+    env.sumo.drive_on = noting
+    if go:
+        env.step(GO)
+    else:
+        for _ in range(25):
+            noting(1)
+    env.sumo.drive_on = drive_on
     return min(accelerations)
 
 
