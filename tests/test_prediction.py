@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from lifelong_lib.environments.prediction import (
+    FASTEST,
     LIMIT,
     PROFILES,
     STANDARD,
@@ -100,7 +101,7 @@ def boxes_meet(pose, size, places, sizes):
 def brute_force(scenes, margins, unseen):
     """Which profiles are safe in scenes (n, cars, 4): all boxes at all steps."""
     if unseen:
-        ends = np.array([car(-VIEW, 0, LIMIT), car(VIEW, 1, LIMIT)])
+        ends = np.array([car(-VIEW, 0, FASTEST), car(VIEW, 1, FASTEST)])
         scenes = np.concatenate([scenes, np.tile(ends, (len(scenes), 1, 1))], axis=1)
     seen = np.abs(scenes[..., 0] - MIDDLE[0]) <= VIEW
     extra = np.full(scenes.shape[1], margins.extra)

@@ -11,7 +11,7 @@ from gymnasium.utils.env_checker import check_env
 
 from lifelong_lib.environments.crossing import overlaps
 from lifelong_lib.environments.pictures import OTHER, OWN
-from lifelong_lib.environments.prediction import LIMIT, PROFILES, Margins
+from lifelong_lib.environments.prediction import FASTEST, LIMIT, PROFILES, Margins
 from lifelong_lib.environments.safe_junction import BRAKES, FOLDER, SafeJunction, lowest_acceleration
 
 GO = len(PROFILES)  # with the highest acceleration
@@ -258,12 +258,14 @@ def test_a_car_that_passes_first_does_not_brake(junction):
 
 @pytest.mark.parametrize("density", [0.1, 0.15])
 def test_traffic_hardly_ever_brakes_without_the_own_car(density, junction):
-    env, brakes = junction(density=density), 0
+    env, brakes, fastest = junction(density=density), 0, 0.0
     env.reset(seed=9)
     for _ in range(1500):
         env.sumo.drive_on(1)
         brakes += lowest_acceleration() < BRAKES
+        fastest = max(fastest, env.cars()[1][:, 3].max(initial=0))
     assert brakes <= 15
+    assert LIMIT < fastest <= FASTEST + 1e-9  # which the mask assumes of those that it does not see
     assert 0.8 * LIMIT < env.cars()[1][:, 3].mean() < 1.1 * LIMIT
 
 

@@ -16,6 +16,7 @@ from lifelong_lib.environments.crossing import LENGTH, ROW, STEP_SECONDS, WIDTH
 
 PROFILES = (0.5, 1.0, 1.5)  # [m/s^2] of the own car, section 7.7.2
 LIMIT = 13.4  # [m/s] on all roads, section 7.7.2
+FASTEST = 1.1 * LIMIT  # [m/s] of the traffic, as data/safe_junction has it
 VIEW = 100.0  # [m] to both sides, section 7.7.2
 DIRECTIONS = (1, -1)  # of the lanes: eastwards in the south, westwards in the north
 APART = 1e6  # [m] more than any place
@@ -53,8 +54,8 @@ class Prediction:
 
     ``path`` (n, 2): the own car's; its front stands ``line`` metres before the path's beginning, on a straight road
     from the south, and the car is across when its front is ``across`` metres along the path. ``middle`` (2,): of the
-    junction. ``view``: metres to both sides that are seen. ``unseen``: a car is assumed at the limit at the end of
-    the view on each lane. ``horizon``: steps that are predicted at most.
+    junction. ``view``: metres to both sides that are seen. ``unseen``: as fast a car as there may be is assumed at
+    the end of the view on each lane. ``horizon``: steps that are predicted at most.
 
     ``poses``: of the own car at every step of each profile until it is across, a list of (steps + 1, 3).
     Raises ValueError for a horizon below 1 and for a profile that is not across by then.
@@ -73,7 +74,7 @@ class Prediction:
             self.poses.append(poses_along(path, fronts[: np.argmax(fronts >= across) + 1]))
         self._work_out()
         ends = self.middle[0] - view * np.array(DIRECTIONS)
-        self._unseen = np.column_stack([ends, self.lanes(), np.arccos(DIRECTIONS), [LIMIT] * 2])[: 2 * unseen]
+        self._unseen = np.column_stack([ends, self.lanes(), np.arccos(DIRECTIONS), [FASTEST] * 2])[: 2 * unseen]
         self._free = ~self._met(self._unseen, 0.0)
 
     def lanes(self) -> np.ndarray:

@@ -48,6 +48,7 @@ FAR = 50.0  # [m] distances count up to here, section 7.7.2
 BRAKES = -0.5  # [m/s^2] below which a car brakes
 HARDEST = 4.5  # [m/s^2] that an own car is taken to be able to brake by
 CRASH = -10.0  # reward of a collision, which only cars without a mask get
+RECOVERY = 25  # steps besides those between trials, so that cars which were held up drive as they like to again
 PATIENCE = 9000  # steps in which the first safe moment must come
 
 
@@ -123,6 +124,9 @@ class SafeJunction(Crossing):
 
     def _begin(self, seeded):
         new = seeded or not self.sumo.held
+        if not new and "ego" in libsumo.vehicle.getIDList():
+            libsumo.vehicle.remove("ego")
+            self.sumo.drive_on(RECOVERY)
         self.sumo.begin_trial(int(self.np_random.integers(2**31)) if new else None)
         self.distance, self.braking = FAR, 0
         for _ in range(PATIENCE):
