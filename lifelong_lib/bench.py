@@ -12,12 +12,14 @@ import numpy as np
 import torch
 from torch import nn
 
-from lifelong_lib.environments.crossing import COLUMNS, GO, MAX_STEPS, ROWS, grid
+from lifelong_lib.environments.crossing import COLUMNS, GO, LENGTH, MAX_STEPS, ROWS, WIDTH, grid
 from lifelong_lib.environments.dynamical_systems import SYSTEMS, draw_tasks
 from lifelong_lib.environments.gymnasium_envs import IDS, STEPS
 from lifelong_lib.environments.intersections import Intersection
+from lifelong_lib.environments.prediction import PROFILES, corners, covered
+from lifelong_lib.environments.safe_junction import SafeJunction
 from lifelong_lib.environments.sumo import OPTIONS, WARM_UP, poses
-from lifelong_lib.learners.networks import Convolution
+from lifelong_lib.learners.networks import Convolution, Dense, Network
 from lifelong_lib.learners.q_learning import DQN, ReplayBuffer, Settings, Trial, q_network
 from lifelong_lib.transfer.dictionary import Dictionary
 from lifelong_lib.transfer.ella import ELLA
@@ -42,7 +44,7 @@ def main() -> list[Row]:
     torch.set_num_threads(1)
     load, rows = os.getloadavg()[0], []
     ella = many_tasks(), dense_inverse("full", 3), dense_inverse("identity", 10)
-    for row in chain(batched_roll_outs(), *ella, junction(), traci_loop(), q_update(), q_learning()):
+    for row in chain(batched_roll_outs(), *ella, junction(), traci_loop(), q_update(), q_learning(), mask()):
         rows.append(row)
         print(f"{'ok' if row.ok else 'MISSED':7}{row.measured:<9.3g}{row.bound} {row.limit:<6g} {row.what}", flush=True)
     advice = "; the machine was loaded: measure again when nothing else runs" * (load > 0.5)
@@ -279,3 +281,34 @@ def q_learning(iterations: int = 1000, repetitions: int = 3):
     alone, other = medians(repetitions, lambda: ours.train(env, iterations), lambda: theirs.learn(iterations))
     env.close()
     yield Row("DQN: decision, environment and update against Stable-Baselines3", other / alone, "at least", 1.6)
+
+
+def mask(repetitions: int = 20):
+    """The mask of chapter 7 for 30 cars, against a forward simulation of all boxes, and against a step of learning."""
+    predict, rng = SafeJunction().prediction, np.random.default_rng(0)
+    places = predict.middle[0] + rng.uniform(-100, 100, 30), rng.choice(predict.lanes(), 30)
+    cars = np.column_stack([*places, np.zeros(30), np.full(30, 12.0)])
+    size = LENGTH + 2 * predict.margins.own, WIDTH + 2 * predict.margins.aside
+
+    def simulated():
+        safe = np.ones(len(PROFILES), bool)
+        for number, way in enumerate(predict.poses):
+            for step, box in enumerate(corners(way, size)):
+                for x, y, length, width in predict.regions(cars, step):
+                    low, high = covered(box[None], y - width / 2, y + width / 2)[0]
+                    safe[number] &= x + length / 2 < low or x - length / 2 > high
+        return safe
+
+    network = Network((2, 26, 3), [Dense(100), Dense(100), Dense(1 + len(PROFILES))], seed=0)
+    memory = filled_memory(ReplayBuffer(20_000, network.shapes[0]))
+    memory.actions %= 1 + len(PROFILES)
+    ours = DQN(network, memory, learner().settings, np.random.SeedSequence(0))
+
+    def learning():
+        ours.network.best(memory.images[0])
+        ours.update()
+
+    alone, other = medians(max(1, repetitions // 10), lambda: predict.safe(cars), simulated)
+    yield Row("mask of chapter 7: a simulation of all boxes against it", other / alone, "at least", 100)
+    alone, step = medians(10 * repetitions, lambda: predict.safe(cars), learning)
+    yield Row("mask of chapter 7: its share of a step of learning", alone / step, "at most", 0.1)

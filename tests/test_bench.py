@@ -31,7 +31,8 @@ def test_medians_come_from_alternating_calls_without_the_warming_up(monkeypatch)
 def test_every_promise_is_measured_and_dense_and_fast_updates_agree(monkeypatch, capsys):
     small = {"batched_roll_outs": {"count": 2, "n": 2, "repetitions": 1}, "many_tasks": {"many": 12, "repetitions": 2},
              "dense_inverse": {"tasks": 6, "columns": 2, "repetitions": 2}, "junction": {"repetitions": 1},
-             "q_update": {"repetitions": 2}, "q_learning": {"iterations": 2, "repetitions": 1}}
+             "q_update": {"repetitions": 2}, "q_learning": {"iterations": 2, "repetitions": 1},
+             "mask": {"repetitions": 1}}
     for name, sizes in small.items():
         measure = getattr(bench, name)
         monkeypatch.setattr(bench, name, lambda *given, measure=measure, sizes=sizes: measure(*given, **sizes))
@@ -40,7 +41,8 @@ def test_every_promise_is_measured_and_dense_and_fast_updates_agree(monkeypatch,
     assert [(row.bound, row.limit) for row in rows] == [
         *[("at least", 30)] * 4, ("at most", 1.1),
         ("at least", 3), ("at most", 1e-8), ("at least", 10), ("at most", 1e-8),
-        ("at least", 0.8), ("at most", 1.8), ("at most", 0.85), ("at most", 0.6), ("at least", 1.6)]
+        ("at least", 0.8), ("at most", 1.8), ("at most", 0.85), ("at most", 0.6), ("at least", 1.6),
+        ("at least", 100), ("at most", 0.1)]
     assert all(np.isfinite(row.measured) and row.measured > 0 for row in rows)
     assert all(row.ok for row in rows if row.limit == 1e-8), "results are equal"
     printed = capsys.readouterr().out.splitlines()
@@ -54,7 +56,7 @@ def test_every_promise_is_measured_and_dense_and_fast_updates_agree(monkeypatch,
 @pytest.mark.parametrize(("load", "said"), [(0.1, False), (1.7, True)])
 def test_a_loaded_machine_is_named(load, said, monkeypatch, capsys):
     for name in ("batched_roll_outs", "many_tasks", "dense_inverse", "junction", "traci_loop", "q_update",
-                 "q_learning"):
+                 "q_learning", "mask"):
         monkeypatch.setattr(bench, name, lambda *_: iter(()))
     monkeypatch.setattr(bench.os, "getloadavg", lambda: (load, 0, 0))
     assert bench.main() == []
