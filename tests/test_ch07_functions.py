@@ -193,6 +193,8 @@ def test_c7_5_compares_successes_of_both_networks_and_the_random_driver():
     space = load(7, "mean_of_successes", "mean_distance", "mean_braking", "goal_parts", of=of_drivers(**drivers),
                  OUTCOMES=OUTCOMES)  # fmt: skip
     assert [float(part[0]) for part in space.goal_parts("after").values()] == [18, 20, 2, 3, 1, 2]
+    space.of = of_drivers(**drivers | {"B": measured((TIMEOUT, -1, 0))})  # never across: 0 m and 100 steps
+    assert [float(part[0]) for part in space.goal_parts("after").values()] == [30, 20, -10, -96, -98, 2]
 
 
 def test_c7_6_counts_delays_of_successes_by_cars_in_view():
