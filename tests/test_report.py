@@ -139,6 +139,7 @@ def test_formulas_become_mathml_and_unknown_ones_stay_readable(project):
     drawn = draw(source)
     assert drawn.startswith("<math") and "θ" in drawn
     assert draw(r"\nosuchmacro{x}") == r"<code>\nosuchmacro{x}</code>"
+    assert draw("^2") == "<code>^2</code>"
 
 
 def draw(formula: str) -> str:

@@ -139,7 +139,7 @@ def setup(app) -> dict:
         block = isinstance(node, nodes.math_block)
         try:
             drawn = tex2mathml(text.replace(tag.group(0), "") if tag else text, as_block=block)
-        except MathError as error:
+        except (MathError, IndexError) as error:  # the second for a power of nothing, such as the unit $^2$
             logging.getLogger(__name__).warning("formula left as text (%s): %s", error, text, location=node)
             drawn = f"<code>{html.escape(text)}</code>"
         number = f'<span class="eqno">({tag.group(1)})</span>' if tag else ""
