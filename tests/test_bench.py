@@ -1,10 +1,9 @@
 """The bench at a toy scale: rows, verdicts and equal results. No test looks at a clock."""
 
+import bench
 import numpy as np
 import pytest
-
-from lifelong_lib import bench
-from lifelong_lib.bench import Row
+from bench import Row
 
 
 def test_a_row_is_judged_by_its_bound():
@@ -61,3 +60,10 @@ def test_a_loaded_machine_is_named(load, said, monkeypatch, capsys):
     monkeypatch.setattr(bench.os, "getloadavg", lambda: (load, 0, 0))
     assert bench.main() == []
     assert ("loaded: measure again when nothing else runs" in capsys.readouterr().out) == said
+
+
+@pytest.mark.parametrize("measured, code", [((2, 1), 0), ((2, 9), 1), ((0, 1), 1)])
+def test_a_missed_promise_is_told_by_the_exit_code(monkeypatch, measured, code):
+    rows = [Row("fast", measured[0], "at least", 1), Row("even", measured[1], "at most", 1)]
+    monkeypatch.setattr(bench, "main", lambda: rows)
+    assert bench.exit_code() == code

@@ -22,41 +22,41 @@ STRANGERS = {"PG": fleets_of(0, 1, 1, 1), "PG-ELLA": fleets_of(0, 0.5, 0, 0)}
 
 
 def measures(curves=CURVES, strangers=STRANGERS, **given):
-    names = ("jump", "advantage", "final", "nearest_control", "parts_and_control", "JUMP", "ADVANTAGE")
+    names = ("lead", "jump", "advantage", "final", "parts_of", "controls_of", "JUMP", "ADVANTAGE")
     return load(3, *names, early=1, turtlebots=curves, drones=curves,
                 without_right_sources=lambda kind: strangers, **given)
 
 
-def test_leads_are_taken_at_after_and_at_the_end_of_learning():
+def test_leads_are_taken_at_after_and_at_the_end_of_learning_in_units_of_pgs_gain():
     space = measures()
-    assert space.jump(CURVES, "PG-ELLA").tolist() == [3] * FLEETS
-    assert space.jump(CURVES, "PG-ELLA", "mean start").tolist() == [1] * FLEETS
-    assert space.advantage(CURVES, "PG-ELLA").tolist() == [2] * FLEETS  # (3 + 2 + 1) / 3
-    long = {"PG": np.ones((1, 30)), "PG-ELLA": np.arange(30.0)[None]}
-    assert space.final(long, "PG-ELLA") == [23.5]  # the mean of 20 to 29 is 24.5
+    assert space.jump(CURVES, "PG-ELLA").tolist() == [3 / 4] * FLEETS  # PG gains 4
+    assert space.jump(CURVES, "PG-ELLA", "mean start").tolist() == [1 / 4] * FLEETS
+    assert space.advantage(CURVES, "PG-ELLA").tolist() == [2 / 4] * FLEETS  # (3 + 2 + 1) / 3
+    long = {"PG": np.linspace(0, 1, 30)[None], "PG-ELLA": np.linspace(0, 1, 30)[None] + np.arange(30.0)}
+    assert space.final(long, "PG-ELLA") == pytest.approx([24.5])  # the mean of 20 to 29
+    uneven = {"PG": np.array([[0, 1.0], [0, 3]]), "PG-ELLA": np.array([[0, 2.0], [0, 5]])}
+    assert space.jump(uneven, "PG-ELLA").tolist() == [0.5, 1]  # over the mean gain of 2
 
 
-def test_the_control_with_the_higher_mean_is_reported():
+def test_both_controls_are_handed_over():
     space = measures()
-    # random basis: 0 - 1 = -1; others' start and dictionary: 0.5 - 1 = -0.5
-    assert space.nearest_control("turtlebot", CURVES, space.jump).tolist() == [-0.5] * FLEETS
-    better = CURVES | {"random basis": np.array([[0, 5.0], [0, -1.0], [0, 2.0]]), "PG": fleets_of(0, 1)}
-    assert space.nearest_control("turtlebot", better, space.jump).tolist() == [4, -2, 1]
-    worse = better | {"random basis": np.array([[0, 5.0], [0, -4.0], [0, -2.0]])}  # high in one fleet only
-    assert space.nearest_control("turtlebot", worse, space.jump).tolist() == [-0.5] * FLEETS
+    # random basis: 0 - 1 = -1 of 4; others' start and dictionary: 0.5 - 1 = -0.5 of the 1 that those five gain
+    basis, others = space.controls_of("turtlebot", CURVES, {"label": space.jump})
+    assert basis["label"].tolist() == [-1 / 4] * FLEETS and others["label"].tolist() == [-0.5] * FLEETS
 
 
 def test_c3_1_is_the_jump_after_the_first_iterations(tmp_path):
     claim = judge(3, "C3.1", measures(), tmp_path)
     label = "return at iteration 10: PG-ELLA minus PG"
-    assert claim.measured == {label: 3, "return at iteration 10: PG-ELLA minus mean start": 1,
-                              "return at iteration 10: right start, other task's dictionary, minus PG": 1}
-    assert claim.control == {label: -0.5}
+    assert claim.measured == {label: 3 / 4, "return at iteration 10: PG-ELLA minus mean start": 1 / 4,
+                              "return at iteration 10: right start, other task's dictionary, minus PG": 1 / 4}
+    assert claim.control == {label: -1 / 4}
     assert (claim.verdict, claim.control_verdict) == ("holds", "contradicted")
 
 
 @pytest.mark.parametrize("method, curve, verdict", [
     ("PG-ELLA", (0, 0, 9, 9), "contradicted"),  # ahead later, but not at once
+    ("PG-ELLA", (0, 1.04, 9, 9), "contradicted"),  # a hundredth of what PG gains
     ("random basis", (0, 4, 0, 0), "undecided"),  # a column that knows nothing jumps as well
     ("mean start", (0, 9, 9, 9), "holds"),  # reported only
 ])
@@ -64,11 +64,21 @@ def test_c3_1_can_fail(tmp_path, method, curve, verdict):
     assert judge(3, "C3.1", measures(CURVES | {method: fleets_of(*curve)}), tmp_path).verdict == verdict
 
 
+def test_either_control_takes_the_verdict_away(tmp_path):
+    leads = STRANGERS | {"PG-ELLA": fleets_of(0, 3, 3, 3)}
+    claim = judge(3, "C3.1", measures(strangers=leads), tmp_path)
+    assert (claim.verdict, claim.control_verdict) == ("undecided", "holds")
+    # A mean of 4 that differs from fleet to fleet is not nearer to holding than a sure 1.
+    wild = CURVES | {"random basis": np.array([[0, 11.0, 0, 0], [0, -7, 0, 0], [0, 11, 0, 0]])}
+    claim = judge(3, "C3.1", measures(wild, leads), tmp_path)
+    assert claim.control == {"return at iteration 10: PG-ELLA minus PG": 2}
+
+
 def long_curves(ahead_until):
-    """PG-ELLA leads by 1 up to an iteration, and is 1 behind from there on; early = 1, 40 iterations."""
+    """PG-ELLA leads by 1 up to an iteration, and is 1 behind from there on; early = 1, 40 iterations; PG gains 4."""
     lead = np.where(np.arange(41) < ahead_until, 1.0, -1.0)
-    level = {name: fleets_of(*np.zeros(41)) for name in CURVES}
-    return level | {"PG-ELLA": fleets_of(*lead), "random basis": fleets_of(*-np.ones(41))}
+    level = {name: fleets_of(*np.linspace(0, 4, 41)) for name in CURVES}
+    return level | {"PG-ELLA": level["PG"] + lead, "random basis": level["PG"] - 1}
 
 
 @pytest.mark.parametrize("ahead_until, verdict", [
@@ -77,9 +87,9 @@ def long_curves(ahead_until):
     (15, "contradicted"),
 ])
 def test_c3_2_asks_for_the_mean_and_for_the_end(tmp_path, ahead_until, verdict):
-    behind = {"PG": fleets_of(*np.zeros(41)), "PG-ELLA": fleets_of(*-np.ones(41))}
+    behind = {"PG": fleets_of(*np.linspace(0, 4, 41)), "PG-ELLA": fleets_of(*np.linspace(0, 4, 41) - 1)}
     claim = judge(3, "C3.2", measures(long_curves(ahead_until), behind), tmp_path)
-    mean = (2 * (ahead_until - 1) - 40) / 40
+    mean = (2 * (ahead_until - 1) - 40) / 40 / 4
     assert claim.measured["mean return over iterations 10 to 100: PG-ELLA minus PG"] == pytest.approx(mean)
     assert list(claim.control) == ["mean return over iterations 10 to 100: PG-ELLA minus PG",
                                    "mean return over the last ten iterations: PG-ELLA minus PG"]
@@ -90,9 +100,9 @@ def test_c3_3_asks_drones_for_jump_and_lead(tmp_path):
     assert judge(3, "C3.3", measures(), tmp_path).verdict == "holds"
     late = CURVES | {"PG-ELLA": fleets_of(0, 2, 0, 0)}  # jump 1, lead (1 - 2 - 3) / 3
     claim = judge(3, "C3.3", measures(late), tmp_path)
-    assert claim.measured["return at iteration 10: PG-ELLA minus PG"] == 1
-    assert claim.measured["mean return over iterations 10 to 100: PG-ELLA minus PG"] == pytest.approx(-4 / 3)
-    assert list(claim.control.values()) == [-0.5, pytest.approx(-2.5 / 3)]  # others' start and dictionary
+    assert claim.measured["return at iteration 10: PG-ELLA minus PG"] == 1 / 4
+    assert claim.measured["mean return over iterations 10 to 100: PG-ELLA minus PG"] == pytest.approx(-4 / 3 / 4)
+    assert list(claim.control.values()) == [-1 / 4, pytest.approx(-2 / 4)]  # the random column: (-1 - 2 - 3) / 3 of 4
     assert claim.verdict == "contradicted"
 
 
@@ -102,7 +112,7 @@ def test_c3_9_is_a_share_of_what_pg_gains(tmp_path, lead, verdict):
     measured = fleets_of(0, *[4 + lead] * 3)
     claim = judge(3, "C3.9", measures(CURVES | {"measured curvature": measured}), tmp_path)
     (share,) = claim.measured.values()
-    assert share == pytest.approx(lead / 4)  # PG gains 4
+    assert share == pytest.approx(lead / 4)
     assert claim.verdict == verdict
 
 
@@ -132,6 +142,14 @@ def test_iterations_saved_at_pgs_records(method, saved, missed):
     assert space.missed(curves, "PG-ELLA") == [missed]
 
 
+def test_without_records_pgs_best_return_counts_at_its_own_iteration():
+    curves = {"PG": np.array([[0, 9, 1, 2, 3, 4.0]]), "PG-ELLA": np.array([[0, 4, 4, 4, 4, 4.0]])}
+    space = savings()
+    assert space.saved(curves, "PG-ELLA") == [-4] and space.missed(curves, "PG-ELLA") == [1]  # 9 at 1, and never
+    curves["PG-ELLA"][0, 3] = 9
+    assert space.saved(curves, "PG-ELLA") == [-2] and space.missed(curves, "PG-ELLA") == [0]
+
+
 def test_each_fleet_has_records_of_its_own():
     curves = {"PG": np.array([[0, 0, 1, 1, 1, 1.0], [0, 0, 0, 0, 0, 1.0]]), "PG-ELLA": np.ones((2, 6))}
     assert savings().saved(curves, "PG-ELLA").tolist() == [1, 4]  # records at 2 and at 5, reached at 1
@@ -145,7 +163,7 @@ def test_c3_4_counts_iterations_and_rollouts(tmp_path, there, verdict):
     curves = {"PG": steps(30, 30, 30), "PG-ELLA": steps(there, there, there), "mean start": steps(12, 12, 12),
               "other task": steps(30, 30, 30), "random basis": steps(41, 41, 41)}
     strangers = {"PG": steps(30, 30, 30), "PG-ELLA": steps(32, 32, 32)}
-    space = load(3, "records", "reached", "saved", "missed", "nearest_control", "NAMES", early=10, iterations=40,
+    space = load(3, "records", "reached", "saved", "missed", "controls_of", "NAMES", early=10, iterations=40,
                  turtlebots=curves, drones=curves, turtlebot_rollouts=21, drone_rollouts=15,
                  without_right_sources=lambda kind: strangers)
     claim = judge(3, "C3.4", space, tmp_path)
@@ -159,54 +177,83 @@ def test_c3_4_counts_iterations_and_rollouts(tmp_path, there, verdict):
 
 # --------------------------------------------------------------------------------------------------- good controllers
 
-def test_good_means_more_than_half_of_five_trials_early_and_at_the_end():
+def watched(iterations, early, tried):
+    """A run of a robot whose policy after i iterations is 10 i, and which policies it tries in which order."""
+    asked = []
+
     class Robot:
         POLICY_SIZE = 1
 
         def roll_out(self, policies, rng, noise):
-            assert policies.ravel().tolist() == [20.0] * 5 + [30.0] * 5  # after 2 and after all 3 iterations
+            asked.append(policies.ravel().tolist())
             return policies
 
-        def succeeded(self, tried):
-            return np.array([1, 1, 0, 0, 0, 1, 1, 1, 0, 0], bool)
+        def succeeded(self, policies):
+            return tried[: len(policies)]
 
-    def learn(returns, start, iterations, rng):
-        return start + 10.0 * np.arange(iterations + 1)[:, None], np.arange(iterations + 1)
+    def learn(returns, start, count, rng):
+        return start + 10.0 * np.arange(count + 1)[:, None], np.arange(count + 1)
 
-    space = load(3, "train_trial", build=lambda config: Robot(), returns_of=lambda *given: None,
-                 learner_of=lambda config: SimpleNamespace(learn=learn))
-    config = {"iterations": 3, "early": 2, "noise": 0.0, "measured": False}
-    assert space.train_trial(config, np.random.SeedSequence(0))["good"].tolist() == [False, True]
+    space = load(3, "is_good", "learn_alone", "train_trial", "watched_trial", build=lambda config: Robot(),
+                 returns_of=lambda *given: None, learner_of=lambda config: SimpleNamespace(learn=learn))
+    config = {"iterations": iterations, "early": early, "noise": 0.0, "measured": False}
+    return space.watched_trial(config, np.random.SeedSequence(0)), asked
 
 
-@pytest.mark.parametrize("after_10, after_100, first, second", [
-    (0.0, 0.8, "holds", "holds"), (0.2, 1.0, "contradicted", "contradicted"), (0.0, 0.4, "holds", "contradicted")])
-def test_c3_5_and_c3_6_are_shares_of_good_robots(tmp_path, after_10, after_100, first, second):
-    good = np.array([[after_10, after_100]] * FLEETS)
-    space = load(3, "NAMES", by_fleet=lambda robots, found, name: good, new_ones={"turtlebot": 0, "drone": 0}, alone=0)
-    assert judge(3, "C3.5", space, tmp_path).verdict == first
+def test_good_means_more_than_half_of_five_trials():
+    found, asked = watched(3, 2, np.array([1, 1, 0, 0, 0, 1, 1, 1, 0, 0], bool))
+    assert asked == [[20.0] * 5 + [30.0] * 5] * 2  # after 2 and after all 3 iterations
+    assert found["good"].tolist() == found["looks"].tolist() == [False, True]
+
+
+def test_looks_are_taken_after_the_first_iterations_as_often_again_and_at_the_end():
+    assert watched(100, 10, np.ones(50, bool))[1][1][::5] == [100.0 * i for i in range(1, 11)]
+    assert watched(18, 5, np.ones(20, bool))[1][1][::5] == [50, 100, 150, 180]
+
+
+def looked_at(*robots):
+    """The same fleet (of looks of each robot) three times, for both kinds of robot."""
+    fleets = {kind: [[{"kind": kind, "fleet": number, "i": i} for i in range(len(robots))] for number in range(FLEETS)]
+              for kind in ("turtlebot", "drone")}  # fmt: skip
+    everyone = [robot for kind in fleets.values() for fleet in kind for robot in fleet]
+    alone = runs(*((robot, {"looks": [np.array(robots[robot["i"]], bool)]}) for robot in everyone))
+    return load(3, "NAMES", new_ones=fleets, alone=alone, early=10, iterations=30)
+
+
+@pytest.mark.parametrize("robots, early, last, first, second", [
+    (([0, 0, 1], [0, 0, 1], [0, 1, 0]), 0, 2 / 3, "holds", "holds"),
+    (([1, 1, 1], [0, 0, 1], [0, 0, 0]), 1 / 3, 2 / 3, "contradicted", "holds"),
+    (([1, 0, 1], [0, 0, 1], [0, 0, 0]), 1 / 3, 2 / 3, "contradicted", "holds"),  # between them it may fail
+    (([1, 1, 0], [0, 0, 1], [0, 0, 0]), 0, 1 / 3, "holds", "contradicted"),  # good by chance, not converged
+    (([0, 1, 1],) * 3, 0, 1, "holds", "contradicted"),  # all find one
+])
+def test_c3_5_asks_who_converged_early_and_c3_6_who_is_good_at_the_end(tmp_path, robots, early, last, first, second):
+    space = looked_at(*robots)
+    claim = judge(3, "C3.5", space, tmp_path)
+    assert list(claim.measured.values()) == pytest.approx([early] * 2) and claim.verdict == first
     claim = judge(3, "C3.6", space, tmp_path)
-    assert claim.measured == {"AR.Drones: good after 100 iterations": pytest.approx(after_100)}
+    assert claim.measured == {"AR.Drones: good after 100 iterations": pytest.approx(last)}
     assert claim.verdict == second
 
 
 # ------------------------------------------------------------------------------------------- robots that have to look
 
-LONE = np.array([[[9, 1, 1], [9, 2, 2], [9, 3, 3], [9, 6, 6], [9, 7, 7]]] * FLEETS, float)  # means 1, 2, 3, 6; fifth 7
+# Means after the first iteration 1, 2, 3, 6; fifth 7. The four gain 12 - 8 = 1 each on average.
+LONE = np.array([[[2, 1, 1], [2, 2, 2], [2, 3, 3], [2, 6, 6], [9, 7, 7]]] * FLEETS, float)
 
 
 def looking(strange=(0, 0, 0), **fifth):
     curves = {"PG-ELLA": (0, 7, 9), "mean start": (0, 7, 7), "random basis": (0, 0, 2), "other task": (0, 4, 4)} | fifth
     fleets = {"camera": [[{"fleet": number}] for number in range(FLEETS)]}
     others = runs(*(({"fleet": number}, {"PG-ELLA": [np.array(strange, float)]}) for number in range(FLEETS)))
-    return load(3, "later", "leads_over_sources", early=1, lone=LONE, fleets=fleets, camera_other=others,
+    return load(3, early=1, lone=LONE, fleets=fleets, camera_other=others,
                 fifth={name: fleets_of(*curve) for name, curve in curves.items()})
 
 
 def test_c3_7_leads_over_the_mean_and_the_best_of_four(tmp_path):
     claim = judge(3, "C3.7", looking(), tmp_path)
     assert list(claim.measured.values()) == [5, 2, 1, 1, 1]  # 8 less 3, the best 6, the fifth 7, mean start 7; 4 less 3
-    assert list(claim.control.values()) == [-2, -5]  # random basis 1; the other control is lower
+    assert list(claim.control.values()) == [-2, -5]  # random basis 1; the other control is farther from holding
     assert (claim.verdict, claim.control_verdict) == ("holds", "contradicted")
 
 

@@ -181,9 +181,9 @@ def contents(**held):
                 "pattern_parts", "RANKED", names=NAMES, order=ORDER, hard=[2, 4], lives=lives, STRATEGIES=configs)
 
 
-FAIR, LAST = [[18, 18, 22, 18, 24]] * 3, [[100, 0, 0, 0, 0]] * 3
-SURPRISED = [[4, 10, 40, 3, 43]] * 3
-VARIED = [[40, 10, 20, 5, 25], [5, 40, 5, 25, 25], [20, 20, 20, 20, 20]]
+FAIR, LAST = [[18, 18, 22, 18, 24]] * 6, [[100, 0, 0, 0, 0]] * 6
+SURPRISED = [[4, 10, 40, 3, 43]] * 6
+VARIED = [[40, 10, 20, 5, 25], [5, 40, 5, 25, 25], [40, 5, 5, 25, 25]] * 2
 
 
 def test_shares_of_a_memory_by_hand():
@@ -213,7 +213,7 @@ def test_refreshing_empties_and_what_the_thesis_mentions_is_worse(tmp_path):
     label, *successes = claim.measured.values()
     assert label == pytest.approx(0 - 0.6) and successes == [0, 0, 0]
     success = {"surprise": 0.6, "refreshed surprise": 0.3, "long-term memory alone": 0.5, "least surprise": 0.4}
-    space.at_the_end = lambda name: np.full(3, success.get(name, 0.8))
+    space.at_the_end = lambda name: np.full(6, success.get(name, 0.8))
     assert judge(6, "C6.7", space, tmp_path).verdict == "holds"
 
 

@@ -172,7 +172,7 @@ def test_the_claim_holds_where_fifo_forgets_and_matching_keeps_most(tmp_path):
     some = (FORGETS + KEEPS) / 2
     found = verdict(tmp_path, FIFO=FORGETS, surprise=FORGETS, reward=FORGETS, coverage=some, matching=KEEPS,
                     latest=FORGETS)
-    assert (found.verdict, found.control_verdict) == ("holds", "contradicted")
+    assert found.verdict == "holds" and found.control_verdict == "undecided"  # it forgets as surprise and reward do
 
 
 def test_it_does_not_where_the_latest_do_as_well_or_nothing_is_forgotten_or_learned(tmp_path):

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 import torch
+from bench import torch_twin
 from torch import nn
 
-from lifelong_lib.bench import torch_twin
 from lifelong_lib.learners.classifier import Classifier, digit_network
 from lifelong_lib.learners.networks import Dense, Network
 from lifelong_lib.learners.q_learning import ReplayBuffer

@@ -13,7 +13,6 @@ import pytest
 from conftest import REPOSITORY, command, make_project, write_notebook
 
 from lifelong_lib.__main__ import main
-from lifelong_lib.bench import Row
 from lifelong_lib.reproduction.machine import processor
 from lifelong_lib.reproduction.store import Store
 
@@ -75,13 +74,6 @@ def test_pytest_gets_what_follows_test(monkeypatch):
     monkeypatch.setattr("lifelong_lib.__main__.subprocess.run", stand_in)
     assert main(["test", "-k", "layout", "--fresh"]) == 5
     assert called == [[sys.executable, "-m", "pytest", "-k", "layout", "--fresh"]]
-
-
-@pytest.mark.parametrize("measured, code", [((2, 1), 0), ((2, 9), 1), ((0, 1), 1)])
-def test_bench_tells_a_missed_promise_by_its_exit_code(monkeypatch, measured, code):
-    rows = [Row("fast", measured[0], "at least", 1), Row("even", measured[1], "at most", 1)]
-    monkeypatch.setattr("lifelong_lib.bench.main", lambda: rows)
-    assert main(["bench"]) == code
 
 
 def test_a_run_tells_what_it_did(project):

@@ -19,9 +19,9 @@ LIBRARY = REPOSITORY / "lifelong_lib"
 SOURCES = sorted(LIBRARY.rglob("*.py"))
 NOTEBOOKS = find_notebooks(REPOSITORY / "notebooks")
 # With all eight chapters it must not be more than 6,500. It is more already: what is too long has to shrink.
-LINES = 7100
+LINES = 6870
 
-# May import from: None = anything of the library. A module that is not listed falls under its package.
+# May import from. A module that is not listed falls under its package.
 ALLOWED = {
     "reproduction.files": (),
     "reproduction.labels": ("reproduction.files",),
@@ -45,13 +45,12 @@ ALLOWED = {
     "environments": ("environments",),
     "learners": ("learners",),
     "transfer": ("transfer", "learners"),
-    "bench": None,
-    "__main__": ("reproduction", "bench"),
+    "__main__": ("reproduction",),
     "": (),
 }
 ONLY_IN = {"pybullet": ("environments.mobile_robots", "environments.camera_robots"),
            "libsumo": ("environments.sumo", "environments.safe_junction"), "rerun": ("reproduction.recordings",),
-           "stable_baselines3": ("bench",)}
+           "stable_baselines3": ()}
 
 # What the notebook of a chapter makes; rows of later issues are added with them.
 INVENTORY = {
@@ -90,7 +89,7 @@ def forbidden_imports(path: Path) -> list[str]:
     wrong = []
     for module in imported(path):
         top, _, inside = module.partition(".")
-        if top == "lifelong_lib" and inside and allowed is not None:
+        if top == "lifelong_lib" and inside:
             wrong += [module] if not any(f"{inside}.".startswith(f"{name}.") for name in allowed) else []
         wrong += [module] if top in ONLY_IN and name not in ONLY_IN[top] else []
     return wrong

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 import torch
+from bench import torch_twin
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import nn
 
-from lifelong_lib.bench import torch_twin
 from lifelong_lib.learners.networks import Convolution, Dense, Network, RMSProp
 from lifelong_lib.learners.q_learning import q_network
 

@@ -6,11 +6,11 @@ from notebook_functions import load, runs
 
 
 def test_a_function_comes_with_its_imports_and_sees_names_that_are_given_later():
-    space = load(3, "jump", early=1)
-    curves = {"PG": np.array([[0, 1, 2]]), "PG-ELLA": np.array([[0, 4, 8]])}
-    assert space.jump(curves, "PG-ELLA") == [3]
+    space = load(3, "lead", "jump", early=1)
+    curves = {"PG": np.array([[0, 1, 2]]), "PG-ELLA": np.array([[0, 5, 10]])}
+    assert space.jump(curves, "PG-ELLA") == [2]
     space.early = 2
-    assert space.jump(curves, "PG-ELLA") == [6]
+    assert space.jump(curves, "PG-ELLA") == [4]
     assert load(4, "exponents").growth_exponent([1, 2], [1, 4]) == pytest.approx(2)
 
 

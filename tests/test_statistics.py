@@ -1,5 +1,7 @@
 """Intervals and tests agree with arithmetic by hand and with scipy."""
 
+import itertools
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -7,38 +9,55 @@ from scipy import stats
 from lifelong_lib.reproduction import statistics as st
 
 
-def test_interval_agrees_with_scipy_at_the_expanded_level():
+def test_few_samples_have_students_interval():
     samples = np.random.default_rng(3).gamma(2.0, size=9)
-    low, high = st.bootstrap_interval(samples, resamples=40_000)
-    level = 1 - 2 * st.expanded_tail(9, 0.95)
-    theirs = stats.bootstrap(
-        (samples,), np.mean, confidence_level=level, method="percentile", n_resamples=40_000, rng=1
-    ).confidence_interval
+    theirs = stats.ttest_1samp(samples, 0).confidence_interval()
+    assert st.mean_interval(samples) == pytest.approx((theirs.low, theirs.high))
+    reach = 4.3027 / np.sqrt(3)
+    assert st.mean_interval([1.0, 2.0, 3.0]) == pytest.approx((2 - reach, 2 + reach), abs=1e-4)
+
+
+def test_many_samples_have_scipys_bootstrap_at_a_wider_level():
+    samples = np.random.default_rng(3).exponential(size=40)
+    low, high = st.mean_interval(samples)
+    tail = stats.norm.cdf(-np.sqrt(40 / 39) * stats.t.ppf(0.975, 39))
+    assert tail < 0.025
+    theirs = stats.bootstrap((samples,), np.mean, confidence_level=1 - 2 * tail, n_resamples=40_000,
+                             rng=1).confidence_interval  # fmt: skip
     width = theirs.high - theirs.low
-    assert abs(low - theirs.low) < 0.02 * width and abs(high - theirs.high) < 0.02 * width
+    assert abs(low - theirs.low) < 0.03 * width and abs(high - theirs.high) < 0.03 * width
+    assert high - samples.mean() > samples.mean() - low  # it knows that the samples are skew
 
 
-def test_interval_covers_the_mean_as_often_as_it_says():
-    trials = np.random.default_rng(0).normal(5.0, 2.0, size=(6, 3000))  # 6 seeds, 3000 repetitions of the experiment
-    low, high = st.bootstrap_interval(trials)
-    assert 0.92 < np.mean((low <= 5.0) & (5.0 <= high)) < 0.97  # the plain percentile interval gives 0.86
+@pytest.mark.parametrize("n", [5, 30])
+def test_interval_keeps_shape_and_repeats_itself(n):
+    samples = np.random.default_rng(1).normal(size=(n, 3, 4))
+    for interval, centre in ((st.mean_interval, np.mean), (st.interquartile_interval, st.interquartile_mean)):
+        low, high = interval(samples)
+        assert low.shape == high.shape == (3, 4)
+        assert (low < centre(samples, axis=0)).all() and (centre(samples, axis=0) < high).all()
+        assert np.array_equal(low, interval(samples)[0])
+    if n == 30:
+        assert not np.array_equal(st.mean_interval(samples, seed=0), st.mean_interval(samples, seed=1))
 
 
-def test_interval_keeps_shape_repeats_itself_and_depends_on_the_seed():
-    samples = np.random.default_rng(1).normal(size=(5, 3, 4))
-    low, high = st.bootstrap_interval(samples)
-    assert low.shape == high.shape == (3, 4)
-    assert (low < samples.mean(axis=0)).all() and (samples.mean(axis=0) < high).all()
-    assert np.array_equal(low, st.bootstrap_interval(samples)[0])
-    many = np.random.default_rng(1).normal(size=40)
-    assert st.bootstrap_interval(many, seed=0) != st.bootstrap_interval(many, seed=1)
-
-
-def test_interval_of_equal_samples_is_a_point_and_of_one_sample_unknown():
-    assert st.bootstrap_interval([2.0, 2.0, 2.0]) == (2.0, 2.0)
-    assert np.isnan(st.bootstrap_interval([2.0])).all()
+@pytest.mark.parametrize("interval", [st.mean_interval, st.interquartile_interval])
+def test_interval_of_equal_samples_is_a_point_and_of_one_sample_unknown(interval):
+    for n in (3, 8, 30):
+        assert interval([2.0] * n) == pytest.approx((2.0, 2.0))
+        rounded = 0.1 * np.arange(1, n + 1) / np.arange(1, n + 1)  # equal but for the last digit
+        assert interval(rounded) == pytest.approx((0.1, 0.1))
+    assert np.isnan(interval([2.0])).all()
     with pytest.raises(ValueError, match="no samples"):
-        st.bootstrap_interval([])
+        interval([])
+
+
+def test_interquartile_mean_and_interval_by_hand():
+    samples = [-100.0, 1, 2, 3, 4, 5, 6, 90]
+    assert st.interquartile_mean(samples) == 3.5 and st.interquartile_mean([1.0, 5, 9]) == 5
+    # Drawn in to 2 2 2 3 4 5 5 5: mean 3.5, squares 1.5^2 x 6 + 0.5^2 x 2 = 14. Four are kept: t with 3 degrees.
+    reach = 3.18245 * np.sqrt(14 / 7 / 8) / 0.5
+    assert st.interquartile_interval(samples) == pytest.approx((3.5 - reach, 3.5 + reach), abs=1e-4)
 
 
 def test_standard_error_by_hand():
@@ -47,10 +66,20 @@ def test_standard_error_by_hand():
 
 
 def test_permutation_by_hand():
-    assert st.paired_permutation([1.0, 2.0, 3.0]) == 2 / 8  # only all plus and all minus reach a sum of 6
-    assert st.paired_permutation([1.0, -1.0]) == 1.0
-    assert st.paired_permutation([0.1, 0.2, -0.3]) == 1.0  # the sum is zero but for rounding
-    assert st.paired_permutation(np.zeros(4)) == 1.0
+    assert st.paired_permutation([1.0, 2, 3, 4, 5, 6]) == 2 / 64  # only all plus and all minus reach a sum of 21
+    assert st.paired_permutation([1.0, 2, -3, 1, 2, -3]) == 1.0  # the sum is zero
+    assert st.paired_permutation(np.zeros(6)) == 1.0
+    assert st.paired_permutation([1.0, 2, 3, 4, 5]) is None  # it could not come below 2 / 32
+
+
+def test_permutation_of_another_centre():
+    """Of eight numbers the lowest and highest two do not count: 2, 3, 4, 5 have the mean 3.5."""
+    differences = [90.0, 1, 2, 3, 4, 5, 6, -80]
+    signs = np.array(list(itertools.product((-1, 1), repeat=8)))
+    means = st.interquartile_mean(signs * differences, axis=1)
+    found = st.paired_permutation(differences, st.interquartile_mean)
+    assert found == np.mean(np.abs(means) >= 3.5 - 1e-9)  # as the distribution of signs is symmetric
+    assert found < st.paired_permutation(differences)
 
 
 def test_permutation_agrees_with_scipy_and_its_draws_with_all_signs():

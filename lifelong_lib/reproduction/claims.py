@@ -1,38 +1,41 @@
 """The ledger: what the thesis claims, what a run measured, and what follows.
 
-`data/thesis/claims.toml` holds every claim and every published number. A claim has parts; a part is one number with
-bounds, measured once a seed. If the 95 % bootstrap interval of its mean lies inside the bounds, the part holds; if it
-lies beside them, the part is contradicted; across an edge, it is undecided. A claim holds if all its parts do and is
-contradicted if one is. A negative control, the same numbers with the claimed cause switched off, must not hold.
+`data/thesis/claims.toml` holds every claim, every published number and the rules of judging. A claim has parts; a part
+is one number with bounds, measured once a seed. If the 95 % interval of its centre lies inside the bounds, the part
+holds; if it lies beside them, the part is contradicted; across or on an edge, it is undecided. A claim holds if all its
+parts do and is contradicted if one is. A negative control measures the same numbers with the claimed cause switched
+off: a part whose control holds too shows nothing, and the claim is undecided.
 """
 
 import html
 import tomllib
+from collections.abc import Mapping
 from types import SimpleNamespace
 
 import numpy as np
 
+from lifelong_lib.reproduction import statistics
 from lifelong_lib.reproduction.files import ROOT, ReproductionError, read_json, require, write_json
 from lifelong_lib.reproduction.labels import VERDICTS, order
 from lifelong_lib.reproduction.runs import PROFILES
-from lifelong_lib.reproduction.statistics import bootstrap_interval, paired_permutation, standard_error
 
 LEDGER = ROOT / "data" / "thesis" / "claims.toml"
-FEWEST_SAMPLES = 3  # two numbers of one sign happen by chance in every second experiment
 KINDS = ("value", "order", "sign", "shape")
+CENTRES = {  # the centre, its interval, and from how many samples on that decides anything
+    "mean": (np.mean, statistics.mean_interval, 3),  # two numbers of one sign are chance in every second experiment
+    "interquartile mean": (statistics.interquartile_mean, statistics.interquartile_interval, 24),  # of six numbers with
+    # five of one sign it would not see the sixth
+}
 CLAIM_KEYS = {"id", "chapter", "statement", "source", "kind", "profile", "control", "tolerance_origin", "parts"}
-PART_KEYS = {"at_least", "at_most", "thesis", "tolerance", "measure", "decides"}
+OPTIONAL_KEYS = {"stand_in", "centre"}
+PART_KEYS = {"at_least", "at_most", "thesis", "tolerance", "unit", "measure", "decides", "control"}
 
 
 class Claim(SimpleNamespace):
     """One row of `claims.json`; thesis, measured, interval, n, test and p are those of its weakest deciding part."""
 
     def __repr__(self):
-        low, high = self.interval or (np.nan, np.nan)
-        chance = "" if self.p is None else f", p = {self.p:.2g}"
-        return (f"{self.id} {self.verdict}: {self.statement} | {self.test.rpartition(': ')[0]}: {self.measured:.3g} "
-                f"[{low:.3g}, {high:.3g}], n = {self.n}{chance}; thesis: {self.thesis}; control {self.control_verdict}"
-                + (f" ({self.remark})" if self.remark else ""))
+        return f"{self.id} {self.verdict}: {self.statement} | {self.because}"
 
     def _repr_html_(self):
         name, rest = repr(self).split(":", 1)
@@ -42,8 +45,9 @@ class Claim(SimpleNamespace):
 def check_claim(chapter, identity, parts, control=None):
     """Judge the claim `identity`, write its row to `<chapter.folder>/claims.json` and return it as a Claim.
 
-    `parts`: {label of the ledger: samples (n_seeds,)}, all labels of the claim; `control`: the same (or fewer) labels
-    measured with the cause switched off, None only where the ledger says that there is no control.
+    `parts`: {label of the ledger: samples (n_seeds,)}, all labels of the claim; `control`: the same labels measured
+    with the cause switched off, or a list of several such controls, of which the one nearest to holding counts, part by
+    part; parts for which the ledger says "none: why" may be left out.
     Raises ReproductionError for an unknown claim or label, a missing part or control, and numbers that are not finite.
     """
     known = ledger()
@@ -51,29 +55,61 @@ def check_claim(chapter, identity, parts, control=None):
     require(identity in names,
             f"claims.toml has no claim '{identity}' in chapter {chapter.number}: it has {', '.join(names)}")
     entry = known[identity]
-    judged = _judge_parts(entry, dict.fromkeys(entry["parts"]) | parts)  # in the ledger's order, None where missing
-    weakest = min((part for part in judged if part["decides"]),
-                  key=lambda part: (_strength(part["verdict"]), part["margin"]))  # fmt: skip
-    verdict, remark = weakest["verdict"], ""
-    control_verdict, control_parts = _judge_control(entry, control)
-    if control_verdict == "holds" and verdict == "holds":
-        verdict, remark = "undecided", "the control holds too, so the cause is not shown"
+    row = judge(entry, parts, [control] if isinstance(control, Mapping) else control or [])
     if PROFILES.index(chapter.profile) < PROFILES.index(entry["profile"]):
-        verdict, remark = "not tested", f"needs the profile {entry['profile']}"
-    row = {key: entry[key] for key in ("id", "chapter", "statement", "source", "kind", "control", "tolerance_origin")}
-    row |= {key: weakest[key] for key in ("thesis", "measured", "interval", "n", "p")}
-    row |= {"test": f"{weakest['label']}: {weakest['test']}", "verdict": verdict, "remark": remark, "parts": judged}
-    row |= {"control_verdict": control_verdict, "control_parts": control_parts}
-    row |= {"stand_in": entry.get("stand_in", ""), "profile": chapter.profile}
+        row |= {"verdict": "not tested", "because": f"it needs the profile {entry['profile']}"}
+    row["profile"] = chapter.profile
     path = chapter.folder / "claims.json"
     rows = [old for old in read_json(path, []) if old["id"] in known.keys() - {identity}]
     write_json(path, sorted([*rows, row], key=lambda row: order(row["id"])))
     return Claim(**row)
 
 
-def _strength(verdict):
-    """A number that is higher for a stronger verdict."""
-    return -list(VERDICTS).index(verdict)
+def judge(entry, parts, controls=()):
+    """Return the row of a claim: its `entry` of the ledger, what every part measured, the verdict and the reason."""
+    judged = _judge_parts(entry, dict.fromkeys(entry["parts"]) | parts)  # in the ledger's order, None where missing
+    controlled = _judge_controls(entry, controls)
+    for part in judged:
+        part["control_verdict"] = controlled.get(part["label"], {}).get("verdict", "none")
+    deciding = [part for part in judged if part["decides"]]
+    weakest = min(deciding, key=_strength)
+    verdict = weakest["verdict"]
+    idle = [part for part in deciding if part["verdict"] == part["control_verdict"] == "holds"]
+    if verdict == "holds" and idle:
+        verdict, weakest = "undecided", idle[0]
+    row = {key: entry[key] for key in ("id", "chapter", "statement", "source", "kind", "control", "tolerance_origin")}
+    row |= {key: weakest[key] for key in ("thesis", "measured", "interval", "n", "p")}
+    row |= {"test": f"{weakest['label']}: {weakest['test']}", "verdict": verdict, "parts": judged}
+    row |= {"because": _reason(deciding, idle), "centre": entry["centre"]}
+    return row | {"control_verdict": _control_verdict(deciding), "control_parts": list(controlled.values()),
+                  "stand_in": entry.get("stand_in", "")}  # fmt: skip
+
+
+def _control_verdict(deciding):
+    """That of the part whose control is nearest to holding: one that holds is one too many."""
+    found = [part["control_verdict"] for part in deciding if part["control_verdict"] != "none"]
+    return min(found, key=list(VERDICTS).index, default="none")
+
+
+def _strength(part):
+    """Larger for a stronger verdict, then for a larger margin."""
+    return -list(VERDICTS).index(part["verdict"]), part["margin"]
+
+
+def _reason(deciding, idle):
+    """One line that says what a verdict follows from: the parts that do not hold, or the one that does so nearest."""
+    shown = [part for part in deciding if part["verdict"] != "holds"] or idle or [min(deciding, key=_strength)]
+    held = sum(part["verdict"] == "holds" for part in deciding)
+    words = [f"{held} of {len(deciding)} parts hold", *map(_told, shown), f"control: {_control_verdict(deciding)}"]
+    words += [f"the cause is not shown, as the control holds too in '{part['label']}'" for part in idle]
+    return "; ".join(words)
+
+
+def _told(part):
+    interval = "no interval" if part["interval"] is None else "{:.3g} to {:.3g}".format(*part["interval"])
+    number = f"{part['measured']:.3g} {part['unit']}".rstrip()
+    words = f"{part['label']}: {number} ({interval}, n = {part['n']}), asked: {part['thesis']}"
+    return f"{words}: {part['verdict']}" + (f", {part['power']}" if part["power"] else "")
 
 
 def published(identity):
@@ -84,22 +120,25 @@ def published(identity):
 
 
 def ledger():
-    """Return {id: claim} of claims.toml, every part with `decides` filled in; refuses a row that is not complete."""
+    """Return {id: claim} of claims.toml, `decides` and `centre` filled in; refuses a row that is not complete."""
     claims = {}
     for row in _read_ledger().get("claim", []):
         where = f"claims.toml: {row.get('id', '(a claim without id)')}"
-        missing, unknown = CLAIM_KEYS - row.keys(), row.keys() - CLAIM_KEYS - {"stand_in"}
+        missing, unknown = CLAIM_KEYS - row.keys(), row.keys() - CLAIM_KEYS - OPTIONAL_KEYS
         require(not missing, f"{where} lacks {', '.join(sorted(missing))}")
         require(not unknown, f"{where} has the unknown key {', '.join(sorted(unknown))}")
         require(row["kind"] in KINDS, f"{where} needs a kind of {KINDS}")
         require(row["profile"] in PROFILES, f"{where} needs a profile of {PROFILES}")
+        require(row.get("centre", "mean") in CENTRES, f"{where} needs a centre of {', '.join(CENTRES)}")
         require(row["id"] not in claims, f"{where} stands there twice")
         for label, part in row["parts"].items():
             low, high = _bounds(part)
             good = part.keys() <= PART_KEYS and low < high and np.isfinite([low, high]).any()
-            require(good, f"{where} part '{label}' needs bounds (at_least, at_most, or thesis and tolerance) "
-                          f"and keys of {PART_KEYS}")
-        claims[row["id"]] = row | {"parts": {label: {"decides": True} | part for label, part in row["parts"].items()}}
+            require(good and part.get("control", "none: ").startswith("none: "),
+                    f"{where} part '{label}' needs bounds (at_least, at_most, or thesis and tolerance), keys of "
+                    f"{PART_KEYS}, and as its control 'none: why' or nothing")
+        parts = {label: {"decides": True} | part for label, part in row["parts"].items()}
+        claims[row["id"]] = {"centre": "mean"} | row | {"parts": parts}
     return claims
 
 
@@ -118,14 +157,21 @@ def _bounds(part):
     return part.get("at_least", -np.inf), part.get("at_most", np.inf)
 
 
-def _judge_control(entry, control):
-    if entry["control"].startswith("none: "):
-        require(control is None, f"claim {entry['id']} has no control in claims.toml: describe it there first")
-        return "none", []
-    require(control, f"claim {entry['id']} needs its control ({entry['control']}): hand over control={{...}}")
-    judged = _judge_parts(entry, control)
-    verdicts = [part["verdict"] for part in judged if part["decides"]]
-    return min(verdicts, key=_strength, default="undecided"), judged
+def _judge_controls(entry, controls):
+    """{label: the judged part of the control that is nearest to holding}; refuses a part that lacks its control."""
+    named = {label for label, part in entry["parts"].items() if _is_controlled(entry, part)}
+    require(named or not controls, f"claim {entry['id']} has no control in claims.toml: describe it there first")
+    found = {}
+    for part in [part for control in controls for part in _judge_parts(entry, control)]:
+        found[part["label"]] = max(part, found.get(part["label"], part), key=_strength)
+    for label in sorted(named - found.keys()):
+        require(not entry["parts"][label]["decides"], f"claim {entry['id']} needs its control ({entry['control']}) in "
+                f"'{label}': hand over control={{...}} or say in claims.toml why there is none")  # fmt: skip
+    return {label: part for label, part in found.items() if label in named}
+
+
+def _is_controlled(entry, part):
+    return not part.get("control", entry["control"]).startswith("none: ")
 
 
 def _judge_parts(entry, samples):
@@ -133,28 +179,34 @@ def _judge_parts(entry, samples):
         known = ", ".join(entry["parts"])
         require(label in entry["parts"], f"claim {entry['id']} has no part '{label}': it has {known}")
         require(numbers is not None, f"claim {entry['id']}: part '{label}' is missing; hand over its samples")
-    return [_judge(entry["id"], label, entry["parts"][label], numbers) for label, numbers in samples.items()]
+    return [judge_part(entry, label, numbers) for label, numbers in samples.items()]
 
 
-def _judge(identity, label, part, samples):
-    """What one part measured: numbers, verdict, and the margin to its nearest bound in standard errors."""
-    samples = np.asarray(samples, dtype=float)
+def judge_part(entry, label, samples):
+    """Return what one part measured: numbers, verdict, and the margin to its nearest bound in half intervals."""
+    part, samples = entry["parts"][label], np.asarray(samples, dtype=float)
     if samples.ndim != 1 or not len(samples) or not np.isfinite(samples).all():
-        raise ReproductionError(f"claim {identity}: '{label}' needs one finite number a seed, got {samples.tolist()}")
-    (low, high), n, mean = _bounds(part), len(samples), float(samples.mean())
-    bottom, top = bootstrap_interval(samples, resamples=10_000)
-    verdict = "undecided"
-    if n >= FEWEST_SAMPLES:
-        verdict = "holds" if low <= bottom and top <= high else verdict
+        raise ReproductionError(f"claim {entry['id']}: '{label}' needs one finite number a seed, got "
+                                f"{samples.tolist()}")  # fmt: skip
+    centre_of, interval_of, fewest = CENTRES[entry["centre"]]
+    (low, high), n, centre, (bottom, top) = _bounds(part), len(samples), float(centre_of(samples)), interval_of(samples)
+    verdict, power = "undecided", ""
+    if n >= fewest:
+        verdict = "holds" if low < bottom and top < high else verdict
         verdict = "contradicted" if top < low or bottom > high else verdict
-    bound = low if mean - low < high - mean else high
-    distance, error = min(mean - low, high - mean), standard_error(samples)
-    margin = np.clip(distance / error if error > 0 else 1e9 * np.sign(distance), -1e9, 1e9)
-    return {"label": label, "measure": part.get("measure", ""), "thesis": _expected(part), "measured": mean,
-            "interval": [float(bottom), float(top)] if n > 1 else None, "n": n,
-            "p": paired_permutation(samples - bound) if n > 1 else None, "margin": float(margin),
-            "test": f"sign flips of the samples against {bound:g}, two-sided", "verdict": verdict,
-            "decides": part["decides"]}
+    bound = low if centre - low < high - centre else high
+    distance, reach = min(centre - low, high - centre), (top - bottom) / 2
+    if verdict == "undecided" and reach > 0:
+        needed = statistics.samples_needed(distance, reach, n)
+        needed = needed and max(needed, fewest)
+        power = f"{'more than 10,000' if needed is None else f'about {needed:,}'} samples would decide"
+    p = statistics.paired_permutation(samples - bound, centre_of)
+    test = f"sign flips of the samples against {bound:g}, two-sided" if p is not None else \
+        f"no p: sign flips of {n} samples cannot give less than {2 / 2**n:.2g}"
+    return {"label": label, "measure": part.get("measure", ""), "unit": part.get("unit", ""),
+            "thesis": _expected(part), "measured": centre, "interval": [float(bottom), float(top)] if n > 1 else None,
+            "n": n, "p": p, "test": test, "margin": float(distance / max(reach, 1e-9)) if n > 1 else 0.0,
+            "verdict": verdict, "power": power, "decides": part["decides"]}
 
 
 def _expected(part):

@@ -4,8 +4,13 @@ Axis 0 is always the seed (or trial): episodes and tasks are averaged before the
 one run are not two runs. Every function that draws random numbers takes a seed and gives the same answer each time.
 """
 
+from functools import cache
+
 import numpy as np
 from scipy import stats
+
+FEWEST_FOR_BOOTSTRAP = 24  # from here on it covers whatever the shape (measured in the tests), below it does not
+FEWEST_FOR_P = 6  # of five pairs, all of one sign, two in 32 are: 0.06
 
 
 def standard_error(samples):
@@ -16,42 +21,79 @@ def standard_error(samples):
     return samples.std(axis=0, ddof=1) / np.sqrt(len(samples))
 
 
-def bootstrap_interval(samples, resamples=2000, seed=0):
-    """Return (low, high), the 95 % bootstrap interval of the mean over axis 0, each of shape `samples.shape[1:]`.
+def mean_interval(samples, resamples=10_000, seed=0):
+    """Return (low, high), the 95 % interval of the mean over axis 0 of `samples` (n_seeds, ...), each of its shape.
 
-    It is the percentile interval with its percentiles moved outwards as Student's t distribution demands
-    (Hesterberg 2015, "expanded percentile"): the plain one is a quarter too narrow for six seeds. With two to four
-    seeds it is the range of the resampled means. `samples`: (n_seeds, ...); `resamples`: number of draws; `seed`: of
-    the draws. A single seed has no interval: (nan, nan). Raises ValueError without samples.
+    Below FEWEST_FOR_BOOTSTRAP seeds it is Student's t interval, from there on the BCa bootstrap (Efron 1987) with its
+    percentiles moved outwards as the t distribution demands (Hesterberg 2015): the plain one is too narrow. A single
+    seed has no interval: (nan, nan). `resamples`: number of draws; `seed`: of the draws. Raises ValueError without
+    samples.
     """
     samples = np.asarray(samples, dtype=float)
-    n = len(samples)
-    if n == 0:
+    n, centre = len(_some(samples)), samples.mean(axis=0)
+    reach = stats.t.ppf(0.975, n - 1) * standard_error(samples)
+    low, high = centre - reach, centre + reach
+    if n >= FEWEST_FOR_BOOTSTRAP and np.all(reach > 1e-9 * np.abs(centre)):  # equal samples have none to resample
+        level = 1 - 2 * stats.norm.cdf(-np.sqrt(n / (n - 1)) * stats.t.ppf(0.975, n - 1))
+        low, high = stats.bootstrap((samples,), np.mean, n_resamples=resamples, confidence_level=level,
+                                    method="BCa", vectorized=True, batch=500, rng=seed).confidence_interval  # fmt: skip
+    return low, high
+
+
+def interquartile_mean(samples, axis=0):
+    """Return the mean over `axis` of `samples` without the lowest and the highest quarter of them (rounded down)."""
+    return stats.trim_mean(samples, 0.25, axis=axis)
+
+
+def interquartile_interval(samples):
+    """Return (low, high), the 95 % interval of the interquartile mean over axis 0 of `samples` (n_seeds, ...).
+
+    Tukey and McLaughlin (1963): Student's t for the samples that are kept, its error from all samples, the outer
+    quarters drawn in to the last that is kept. With fewer than four seeds nothing is left out.
+    """
+    samples = np.sort(np.asarray(samples, dtype=float), axis=0)
+    n = len(_some(samples))
+    left_out = n // 4
+    drawn_in = np.clip(samples, samples[left_out], samples[n - left_out - 1])
+    reach = stats.t.ppf(0.975, n - 2 * left_out - 1) * standard_error(drawn_in) / (1 - 2 * left_out / n)
+    centre = interquartile_mean(samples)
+    return centre - reach, centre + reach
+
+
+def _some(samples):
+    if len(samples) == 0:
         raise ValueError("no samples: axis 0 must hold one entry a seed")
-    if n == 1:
-        return (np.full(samples.shape[1:], np.nan)[()],) * 2
-    # How often each seed is drawn says all that a resample says, and makes its mean a matrix product.
-    counts = np.random.default_rng(seed).multinomial(n, np.full(n, 1 / n), size=resamples)
-    centre = samples.mean(axis=0)
-    means = np.tensordot(counts / n, samples - centre, axes=1)  # (resamples, ...)
-    tail = expanded_tail(n, 0.95)
-    low, high = np.quantile(means, [tail, 1 - tail], axis=0)
-    return (centre + low)[()], (centre + high)[()]
+    return samples
 
 
-def expanded_tail(n, level):
-    """Return the share of resampled means to leave out on each side for `n` seeds at coverage `level`."""
-    return stats.norm.cdf(-np.sqrt(n / (n - 1)) * stats.t.ppf((1 + level) / 2, n - 1))
+def samples_needed(distance, reach, n):
+    """Return how many samples would put an interval beside a bound, four times in five; None if more than 10,000.
+
+    Mean and spread are taken to be those seen: an interval that reaches `reach` to either side with `n` samples, and
+    whose centre lies at `distance` from the bound.
+    """
+    spread = reach * np.sqrt(n) / stats.t.ppf(0.975, n - 1)
+    enough = np.flatnonzero(spread * _distances_that_decide() <= abs(distance))
+    return int(enough[0]) + 2 if len(enough) else None
 
 
-def paired_permutation(differences, seed=0):
-    """Return the two-sided p value of a mean of paired `differences` (n,) as far from zero, were their signs chance.
+@cache
+def _distances_that_decide():
+    """In spreads, how far from a bound the mean of 2, 3, ... 10,000 samples has to be."""
+    sizes = np.arange(2, 10_001)
+    return (stats.t.ppf(0.975, sizes - 1) + stats.t.ppf(0.8, sizes - 1)) / np.sqrt(sizes)
 
-    All 2^n signs are tried for n <= 14, otherwise 2^14 random ones from `seed`. Six pairs cannot give less than
-    2 / 64 = 0.031.
+
+def paired_permutation(differences, centre=np.mean, seed=0):
+    """Return the two-sided p value of a `centre` of `differences` (n,) as far from zero, were their signs chance.
+
+    All 2^n signs are tried for n <= 14, otherwise 2^14 random ones from `seed`. It cannot be less than 2 / 2^n, so that
+    with fewer than six pairs, where it could not come below 0.05, there is none: None.
     """
     differences = np.asarray(differences, dtype=float)
-    return float(stats.permutation_test((differences,), np.mean, permutation_type="samples", n_resamples=2**14,
+    if len(differences) < FEWEST_FOR_P:
+        return None
+    return float(stats.permutation_test((differences,), centre, permutation_type="samples", n_resamples=2**14,
                                         rng=seed).pvalue)  # fmt: skip
 
 

@@ -1,7 +1,11 @@
-"""Speed as ratios measured in one run: medians over repetitions that alternate between the two sides."""
+"""Speed as ratios measured in one run: medians over repetitions that alternate between the two sides.
+
+`./reproduce.sh bench` runs it; exit code 1 if a promise is missed.
+"""
 
 import os
 import shutil
+import sys
 from functools import partial
 from itertools import chain
 from time import perf_counter
@@ -312,3 +316,12 @@ def mask(repetitions: int = 20):
     yield Row("mask of chapter 7: a simulation of all boxes against it", other / alone, "at least", 100)
     alone, step = medians(10 * repetitions, lambda: predict.safe(cars), learning)
     yield Row("mask of chapter 7: its share of a step of learning", alone / step, "at most", 0.1)
+
+
+def exit_code() -> int:
+    """1 if a promise is missed."""
+    return int(not all(row.ok for row in main()))
+
+
+if __name__ == "__main__":
+    sys.exit(exit_code())
