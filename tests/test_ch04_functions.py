@@ -62,6 +62,41 @@ def test_a_setting_passes_if_learning_pays_and_descriptions_tell_and_add(change,
     if not change:
         assert (row["tells"], row["adds"], row["over the best single"]) == pytest.approx((0.58, 0.18, 0.1))  # of 5
 
+CART = {"lightest": 0.1, "heaviest": 4.0, "shortest": 0.2, "longest": 1.0, "seconds": 0.05, "noise": 5.0, "step": 0.1}
+
+
+@pytest.mark.parametrize("change, passes", [
+    ({}, True),
+    ({"own": [-1.3]}, False),  # of a distance of 4 more than a quarter is left
+    ({"single": [-1.6]}, False),  # told leads by 0.4 of a gain of 5
+    ({"copied": [-3.4]}, False),  # keeps 2.6 of a gain of 5
+])
+def test_carts_pass_if_learning_pays_and_no_single_policy_serves_all(change, passes):
+    values = {"start": [-6.0], "nothing": [-4.0], "own": [-1.0], "told": [-1.2], "single": [-2.0], "copied": [-4.0]}
+    row = load(4, "judge_carts", "ASKED", carts=runs((CART, values | change))).judge_carts(CART)
+    assert row["passes"] == passes and {key: row[key] for key in CART} == CART
+    if not change:
+        assert (row["over the best single"], row["kept by copying"], row["adds"]) == pytest.approx((0.16, 0.4, -0.04))
+
+
+def test_other_carts_have_the_ranges_that_are_asked_and_else_what_they_had():
+    system = load(4, "other_carts").other_carts(CART)
+    assert system.ranges.T[[0, 2]].tolist() == [[0.1, 4.0], [0.2, 1.0]] and system.step_seconds == 0.05
+    assert system.ranges.T[[1, 3]].tolist() == [[0.1, 0.2], [0.01, 0.2]]
+
+
+def test_a_policy_is_not_lent_to_the_cart_that_learned_it():
+    """Two carts, each masters itself (0), on the other a policy has -1 and -3."""
+    rewards = {0.0: [0.0, -1.0], 1.0: [-3.0, 0.0]}
+    learner = SimpleNamespace(
+        learn=lambda carts, first, rngs, iterations: (np.array([[[0.0], [1.0]]]), None),
+        evaluate=lambda carts, policies, rngs: np.array([rewards[float(p)][i] for i, p in enumerate(policies[:, 0])]))
+    space = load(4, "carts_trial", "other_carts", "mean_reward", learner_for=lambda config: learner,
+                 predict_others=lambda features, policies: policies, first_policies=lambda *given: np.zeros((2, 1)))
+    found = space.carts_trial(CART | {"tasks": 2, "iterations": 1}, np.random.SeedSequence(0))
+    assert (found["own"], found["copied"], found["single"]) == (0, -2, -0.5)
+
+
 
 # ------------------------------------------------------------------------------------------------------ C4.1: copies
 
