@@ -21,11 +21,13 @@ from jinja2 import ChainableUndefined, Environment, FileSystemLoader
 from sphinx.util import logging
 
 from lifelong_lib.reproduction.children import last_words, surroundings
-from lifelong_lib.reproduction.files import ROOT, read_json, require
+from lifelong_lib.reproduction.claims import ledger
+from lifelong_lib.reproduction.files import ROOT, read_json, read_toml, require
 from lifelong_lib.reproduction.fingerprint import SOURCES
 from lifelong_lib.reproduction.grid import read_reports
 from lifelong_lib.reproduction.labels import VERDICTS, order
 from lifelong_lib.reproduction.notebooks import made_ids, named_in_calls
+from lifelong_lib.reproduction.report import directions, standings
 from lifelong_lib.reproduction.tables import readable
 
 PAGES = Path(__file__).with_name("pages")  # templates, and the look of all pages
@@ -53,20 +55,26 @@ def build_book(folder: Path, reference: Path) -> Path:
 
     They need no network: formulas become MathML, and every picture, style and script is a file of the book.
     """
-    claims = read_json(folder / "claims.json", [])
+    claims, standing = read_json(folder / "claims.json", []), standings(folder, reference.parent)
     copies = sorted((folder / "notebooks").glob("ch*.ipynb"))
     places = {name: (path.stem, headings[0]) for path in copies for name, headings in made_ids(path).items()}
     made = read_json(folder / "provenance.json", {"chapters": {}})
     recordings = sorted(path.stem for path in (folder / "recordings").glob("*.rrd"))
-    pages = {"claims": _page("claims", claims=claims, places=places), "not_reproduced": _missing_page(claims),
+    introduction, others, findings = _findings()
+    pages = {"claims": _page("claims", claims=claims, standing=standing, places=places),
+             "not_reproduced": _page("not_reproduced", introduction=introduction, others=others,
+                                     explained=_explained(standing, findings), untested=_with("not tested", standing)),
              "deviations": (ROOT / "DEVIATIONS.md").read_text(), "recordings": _page("recordings", names=recordings),
-             "provenance": _page("provenance", made=made, text=json.dumps(made, indent=1))}
+             "provenance": _page("provenance", made=made, text=json.dumps(made, indent=1))}  # fmt: skip
     contents = [f"chapters/{path.stem}" for path in copies] + list(pages)
-    pages["index"] = _page("index", profile=folder.name, claims=claims, places=places, contents=contents,
-                           results=_shown(folder, reference, claims, places))  # fmt: skip
+    pages["index"] = _page("index", profile=folder.name, claims=claims, standing=standing, places=places,
+                           agree=directions(claims, standing), chapters=_chapters(copies, standing), contents=contents,
+                           results=_shown(folder, reference, standing, places))  # fmt: skip
+    explained = {claim["id"]: (claim, why) for claim, why in _explained(standing, findings)}
     with tempfile.TemporaryDirectory(prefix="lifelong-book-") as temporary:
         source, out = Path(temporary, "source"), Path(temporary, "out")
-        for name, place in (("latest", folder), ("reference", reference), ("recordings", folder / "recordings")):
+        for name, place in (("latest", folder), ("reference", reference), ("full", reference.parent / "paper"),
+                            ("recordings", folder / "recordings")):
             (source / "_static" / name).mkdir(parents=True)
             for path in sorted(place.glob("*.png")):
                 shutil.copyfile(path, source / "_static" / name / path.name)
@@ -74,7 +82,7 @@ def build_book(folder: Path, reference: Path) -> Path:
         (source / "conf.py").write_text(CONFIGURATION)
         (source / "chapters").mkdir()
         for path in copies:
-            nbformat.write(_chapter_page(path), source / "chapters" / path.name)
+            nbformat.write(_chapter_page(path, explained), source / "chapters" / path.name)
         for name, text in pages.items():
             (source / f"{name}.md").write_text(text)
         command = [sys.executable, "-m", "sphinx", "-b", "html", "-q", "-E", "-d", f"{temporary}/doctrees",
@@ -87,13 +95,18 @@ def build_book(folder: Path, reference: Path) -> Path:
     return folder / "book" / "index.html"
 
 
-def _chapter_page(path: Path) -> nbformat.NotebookNode:
-    """The executed copy with a place to link to before every cell that makes a result."""
+def _chapter_page(path: Path, explained: dict) -> nbformat.NotebookNode:
+    """The executed copy with a place to link to before every cell that makes a result, and findings below verdicts."""
     notebook, cells = nbformat.read(path, as_version=4), []
     for cell in notebook.cells:
-        anchors = "".join(f'<a id="{name}"></a>' for name in named_in_calls(cell.source) if cell.cell_type == "code")
+        names = named_in_calls(cell.source) if cell.cell_type == "code" else []
+        anchors = "".join(f'<a id="{name}"></a>' for name in names)
         cells += [nbformat.v4.new_markdown_cell(anchors, id=f"at-{cell.id}"[:64])] if anchors else []
         cells.append(cell)
+        for name in names:
+            if name in explained:
+                text = _page("finding", claim=explained[name][0], why=explained[name][1])
+                cells.append(nbformat.v4.new_markdown_cell(text, id=f"finding-{name}".replace(".", "-")))
     notebook.cells = cells
     return notebook
 
@@ -105,30 +118,57 @@ def _page(name: str, **more) -> str:
     return templates.get_template(f"{name}.md").render(verdicts=VERDICTS, **more)
 
 
-def _shown(folder: Path, reference: Path, claims: list[dict], places: dict) -> Iterator[dict]:
+def _with(verdict: str, claims: list[dict]) -> list[dict]:
+    return [claim for claim in claims if claim["verdict"] == verdict]
+
+
+def _chapters(copies: list[Path], standing: list[dict]) -> Iterator[dict]:
+    """A line a chapter: what the thesis claims there, and what is known of it."""
+    titles = {int(path.name[2:4]): (path.stem, nbformat.read(path, as_version=4).cells[0].source) for path in copies}
+    for chapter in read_toml(ROOT / "data" / "thesis" / "chapters.toml").get("chapter", []):
+        stem, text = titles.get(chapter["number"], ("", ""))
+        title = text.partition("\n")[0].lstrip("# ") or f"Chapter {chapter['number']}"
+        yield {"link": f"[{title}](chapters/{stem}.ipynb)" if stem else title, "claim": chapter["claim"],
+               "claims": [claim for claim in standing if claim["chapter"] == chapter["number"]]}
+
+
+def _shown(folder: Path, reference: Path, standing: list[dict], places: dict) -> Iterator[dict]:
     """What the first page shows of every figure and table, with the claims that rest on the same runs."""
     rests = [set(grid.makes) for grid in read_reports(folder)]
     compared = {row["id"]: row for row in read_json(folder / "comparison.json", {}).get("results", [])}
     for name in sorted((path.stem for path in folder.glob("[FT]*.csv")), key=order):
         heading, row = places.get(name, ("", ""))[1], compared.get(name, {})
-        pictures = [f"_static/{kind}/{name}.png" for kind, place in (("latest", folder), ("reference", reference))
-                    if (place / f"{name}.png").exists()]  # fmt: skip
-        yield {"id": name, "title": heading if name in heading else f"{name} {heading}", "pictures": pictures,
+        pictures = [("this run", "latest", folder), ("at full scale", "full", reference.parent / "paper")]
+        if row.get("data") != "identical" and reference.name != "paper":
+            pictures.append((f"the reference of {reference.name}", "reference", reference))
+        claims = [claim for claim in standing if any({name, claim["id"]} <= makes for makes in rests)]
+        yield {"id": name, "title": heading if name in heading else f"{name} {heading}",
+               "pictures": [(caption, f"_static/{kind}/{name}.png") for caption, kind, place in pictures
+                            if (place / f"{name}.png").exists()],
                "said": "; ".join(f"{key} {row[key]}" for key in ("data", "picture") if row.get(key)),
-               "table": "" if pictures else (folder / f"{name}.md").read_text(),
-               "claims": [claim for claim in claims if any({name, claim["id"]} <= makes for makes in rests)]}
+               "table": "" if (folder / f"{name}.png").exists() else (folder / f"{name}.md").read_text(),
+               "claims": claims, "printed": "; ".join(_printed(claims)[:4])}  # fmt: skip
 
 
-def _missing_page(claims: list[dict]) -> str:
-    """The claims that do not hold, each with the sections of findings.md that are headed by its id."""
+def _printed(claims: list[dict]) -> list[str]:
+    """What the thesis prints of these claims, in words."""
+    return [f"{label} {part['thesis']:g}" for claim in claims
+            for label, part in ledger()[claim["id"]]["parts"].items() if "thesis" in part]
+
+
+def _findings() -> tuple[str, list, dict[str, str]]:
+    """findings.md: its beginning, its sections (title, text) about no claim, and {title: text} of all sections."""
     path = ROOT / "data" / "thesis" / "findings.md"
     introduction, *sections = re.split(r"^## +", path.read_text() if path.exists() else "", flags=re.MULTILINE)
-    findings = dict(section.partition("\n")[::2] for section in sections)
-    explained = [(claim, [text for title, text in findings.items() if claim["id"] in re.findall(r"C\d+\.\d+", title)])
-                 for claim in claims if claim["verdict"] != "holds"]  # fmt: skip
+    findings = {title: text for title, _, text in (section.partition("\n") for section in sections)}
     others = [(title, text) for title, text in findings.items() if not re.match(r"C\d", title)]
-    introduction = re.sub(r"^# .*", "", introduction, flags=re.MULTILINE)
-    return _page("not_reproduced", introduction=introduction, explained=explained, others=others)
+    return re.sub(r"^# .*", "", introduction, flags=re.MULTILINE), others, findings
+
+
+def _explained(standing: list[dict], findings: dict[str, str]) -> list[tuple[dict, list[str]]]:
+    """The claims that are contradicted or undecided, each with the findings that are headed by its id."""
+    return [(claim, [text for title, text in findings.items() if claim["id"] in re.findall(r"C\d+\.\d+", title)])
+            for claim in _with("contradicted", standing) + _with("undecided", standing)]  # fmt: skip
 
 
 def setup(app) -> dict:

@@ -8,14 +8,13 @@ off: a part whose control holds too shows nothing, and the claim is undecided.
 """
 
 import html
-import tomllib
 from collections.abc import Mapping
 from types import SimpleNamespace
 
 import numpy as np
 
 from lifelong_lib.reproduction import statistics
-from lifelong_lib.reproduction.files import ROOT, ReproductionError, read_json, require, write_json
+from lifelong_lib.reproduction.files import ROOT, ReproductionError, read_json, read_toml, require, write_json
 from lifelong_lib.reproduction.labels import VERDICTS, order
 from lifelong_lib.reproduction.runs import PROFILES
 
@@ -112,9 +111,16 @@ def _told(part):
     return f"{words}: {part['verdict']}" + (f", {part['power']}" if part["power"] else "")
 
 
+def within_bounds(row):
+    """Whether all numbers that decide a claim lie within their bounds, given its row; says nothing of intervals."""
+    bounds = {label: _bounds(part) for label, part in ledger()[row["id"]]["parts"].items() if part["decides"]}
+    measured = {part["label"]: part["measured"] for part in row["parts"]}
+    return all(low < measured[label] < high for label, (low, high) in bounds.items() if label in measured)
+
+
 def published(identity):
     """Return the published numbers of a figure or table such as "F4.2", as nested dicts of numbers and lists."""
-    tables = _read_ledger().get("published", {})
+    tables = read_toml(LEDGER).get("published", {})
     require(identity in tables, f"no published numbers for '{identity}' in claims.toml: it has {', '.join(tables)}")
     return tables[identity]
 
@@ -122,7 +128,7 @@ def published(identity):
 def ledger():
     """Return {id: claim} of claims.toml, `decides` and `centre` filled in; refuses a row that is not complete."""
     claims = {}
-    for row in _read_ledger().get("claim", []):
+    for row in read_toml(LEDGER).get("claim", []):
         where = f"claims.toml: {row.get('id', '(a claim without id)')}"
         missing, unknown = CLAIM_KEYS - row.keys(), row.keys() - CLAIM_KEYS - OPTIONAL_KEYS
         require(not missing, f"{where} lacks {', '.join(sorted(missing))}")
@@ -140,13 +146,6 @@ def ledger():
         parts = {label: {"decides": True} | part for label, part in row["parts"].items()}
         claims[row["id"]] = {"centre": "mean"} | row | {"parts": parts}
     return claims
-
-
-def _read_ledger():
-    try:
-        return tomllib.loads(LEDGER.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ReproductionError(f"{LEDGER} is missing or no valid TOML ({error}); restore or mend it") from error
 
 
 def _bounds(part):

@@ -5,6 +5,7 @@ import errno
 import hashlib
 import json
 import os
+import tomllib
 from pathlib import Path
 
 ROOT = Path(os.environ.get("LIFELONG_ROOT") or Path(__file__).resolve().parents[2])
@@ -33,6 +34,14 @@ def read_json(path: Path, default: object) -> object:
         return json.loads(path.read_bytes())
     except ValueError as error:
         raise ReproductionError(f"{path} is damaged ({error}); delete it and run again") from error
+
+
+def read_toml(path: Path) -> dict:
+    """The content of a TOML file; ReproductionError for one that is missing or damaged."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ReproductionError(f"{path} is missing or no valid TOML ({error}); restore or mend it") from error
 
 
 def write_json(path: Path, content: object) -> None:

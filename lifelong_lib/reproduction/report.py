@@ -12,10 +12,12 @@ from pathlib import Path
 
 from matplotlib.image import imread
 
+from lifelong_lib.reproduction.claims import ledger, within_bounds
 from lifelong_lib.reproduction.files import ROOT, read_json, require, sha256, write_json
 from lifelong_lib.reproduction.grid import read_reports
 from lifelong_lib.reproduction.labels import VERDICTS, order
 from lifelong_lib.reproduction.machine import commit, versions
+from lifelong_lib.reproduction.runs import PROFILES
 
 RESULTS = "[FT]*.*"  # the files of figures and tables
 
@@ -100,6 +102,32 @@ def comparison_lines(comparison: dict) -> list[str]:
               for row in comparison["results"] if row not in same]
     lines += [f"  {row['id']:6} verdict: {row['reference']} -> {row['latest']}" for row in comparison["verdicts"]]
     return lines
+
+
+def standings(folder: Path, references: Path) -> list[dict]:
+    """Every claim of the ledger as it was judged at the largest scale, by the run in `folder` or for `references`.
+
+    Rows of claims.json, in the ledger's order; at the same scale this run's. What nobody judged is not tested.
+    """
+    places = [*(references / profile for profile in PROFILES), folder]
+    rows = [row for place in places for row in read_json(place / "claims.json", [])]
+    judged = {row["id"]: row for row in sorted(rows, key=_scale)}
+    return [judged.get(name, entry | {"verdict": "not tested", "profile": "", "because": "it was never judged"})
+            for name, entry in ledger().items()]  # fmt: skip
+
+
+def _scale(row: dict) -> int:
+    return -1 if row["verdict"] == "not tested" else PROFILES.index(row["profile"])
+
+
+def directions(claims: list[dict], standing: list[dict]) -> dict[bool, list[str]]:
+    """{True: claims that this run's numbers point the way of their verdict at a larger scale, False: the others}."""
+    now, found = {row["id"]: row for row in claims}, {True: [], False: []}
+    for row in standing:
+        small = now.get(row["id"])
+        if small and row["verdict"] in ("holds", "contradicted") and small["profile"] != row["profile"]:
+            found[within_bounds(small) == (row["verdict"] == "holds")].append(row["id"])
+    return found
 
 
 def verdict_counts(claims: list[dict]) -> dict[str, int]:
