@@ -8,7 +8,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from conftest import command
+from conftest import command, write_notebook
 from docutils import nodes
 
 from lifelong_lib.reproduction import book
@@ -96,6 +96,18 @@ def test_the_book_needs_no_network_and_shows_the_results(project):
     assert all(f'<a id="{name}"></a>' in chapter for name in ("F4.1", "T4.1", "C4.1"))
     assert "<math" in chapter and "(4.1)" in chapter and "MathJax" not in chapter
     assert "The slope is above 2." in (pages / "claims.html").read_text()
+
+
+def test_a_chapter_shows_results_first_folds_drawing_and_explains_below_a_verdict(tmp_path):
+    cells = ["# A chapter", "from a import (\n    b,\n)\nimport c", "fig, axes = panels(1)\naxes[0].plot()",
+             "def life(config):\n    return 1", 'check_claim(chapter, "C4.1", parts)']
+    notebook = write_notebook(tmp_path / "ch04_some.ipynb", cells, None)
+    claim = {"id": "C4.1", "chapter": 4, "statement": "a | b", "verdict": "contradicted", "profile": "paper"}
+    page = book._chapter_page(notebook, [claim, claim | {"chapter": 5}], {"C4.1": (claim, ["Because."])})
+    assert [cell.source.split("\n")[0] for cell in page.cells[:2]] == ["# A chapter", "## What came of it"]
+    assert page.cells[1].source.count("a \\| b") == 1, "another chapter's claims stand elsewhere"
+    assert ["hide-input" in cell.metadata.get("tags", []) for cell in page.cells[2:5]] == [True, True, False]
+    assert "Because." in page.cells[-1].source and "why?" in page.cells[-1].source
 
 
 def test_the_same_results_make_the_same_book(project):

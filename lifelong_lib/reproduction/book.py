@@ -30,6 +30,8 @@ from lifelong_lib.reproduction.notebooks import made_ids, named_in_calls
 from lifelong_lib.reproduction.report import directions, standings
 from lifelong_lib.reproduction.tables import readable
 
+DRAWS = re.compile(r"^fig, .*= panels\(", re.MULTILINE)  # such cells, and those of imports only, are folded
+IMPORTS = re.compile(r"((from|import|    |\)).*\n?|\n)*")
 PAGES = Path(__file__).with_name("pages")  # templates, and the look of all pages
 
 CONFIGURATION = """
@@ -82,7 +84,7 @@ def build_book(folder: Path, reference: Path) -> Path:
         (source / "conf.py").write_text(CONFIGURATION)
         (source / "chapters").mkdir()
         for path in copies:
-            nbformat.write(_chapter_page(path, explained), source / "chapters" / path.name)
+            nbformat.write(_chapter_page(path, standing, explained), source / "chapters" / path.name)
         for name, text in pages.items():
             (source / f"{name}.md").write_text(text)
         command = [sys.executable, "-m", "sphinx", "-b", "html", "-q", "-E", "-d", f"{temporary}/doctrees",
@@ -95,10 +97,19 @@ def build_book(folder: Path, reference: Path) -> Path:
     return folder / "book" / "index.html"
 
 
-def _chapter_page(path: Path, explained: dict) -> nbformat.NotebookNode:
-    """The executed copy with a place to link to before every cell that makes a result, and findings below verdicts."""
-    notebook, cells = nbformat.read(path, as_version=4), []
-    for cell in notebook.cells:
+def _chapter_page(path: Path, standing: list[dict], explained: dict) -> nbformat.NotebookNode:
+    """The executed copy as a page: results after the opening, drawing folded, findings below verdicts, places to link.
+
+    A place to link to stands before every cell that makes a result.
+    """
+    notebook = nbformat.read(path, as_version=4)
+    claims = [claim for claim in standing if claim["chapter"] == int(path.name[2:4])]
+    cells = notebook.cells[:1]
+    if claims:
+        cells.append(nbformat.v4.new_markdown_cell(_page("came_of_it", claims=claims), id="came-of-it"))
+    for cell in notebook.cells[1:]:
+        if cell.cell_type == "code" and (DRAWS.search(cell.source) or IMPORTS.fullmatch(cell.source)):
+            cell.metadata["tags"] = [*cell.metadata.get("tags", []), "hide-input"]
         names = named_in_calls(cell.source) if cell.cell_type == "code" else []
         anchors = "".join(f'<a id="{name}"></a>' for name in names)
         cells += [nbformat.v4.new_markdown_cell(anchors, id=f"at-{cell.id}"[:64])] if anchors else []
