@@ -16,7 +16,7 @@ from types import SimpleNamespace
 try:
     from lifelong_lib.reproduction import notebooks, report
     from lifelong_lib.reproduction.children import surroundings
-    from lifelong_lib.reproduction.files import ROOT, ReproductionError, read_json, require
+    from lifelong_lib.reproduction.files import ROOT, ReproductionError, alone, read_json, require
     from lifelong_lib.reproduction.grid import read_reports
     from lifelong_lib.reproduction.machine import processor
     from lifelong_lib.reproduction.runs import PROFILES
@@ -32,9 +32,14 @@ def main(arguments: list[str] | None = None) -> int:
         if arguments[:1] == ["test"]:  # what follows goes to pytest
             return call("pytest", *arguments[1:])
         options = parse(arguments)
-        return options.command(options)
+        code = options.command(options)
+        sys.stdout.flush()
+        return code
     except KeyboardInterrupt:
         return complain("interrupted; what was stored stays, and the same command goes on from there", 130)
+    except BrokenPipeError:  # as in `| head -1`: who read has heard enough, and nothing is left to do
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except OSError as error:
         return complain(f"{error.strerror or error}: {error.filename or 'while reading or writing'}", 2)
     except ReproductionError as error:
@@ -127,8 +132,10 @@ def run_command(options: argparse.Namespace) -> int:
         require(name not in notebooks.COMMON, f"-p {setting}: {name} has its own option")
         given[name] = value
     typed = {number: notebooks.typed_parameters(path, given) for number, path in chosen.items()}
-    command = audit_runs if options.audit else plan if options.plan or options.why else run
-    return command(options, chosen, typed)
+    if options.plan or options.why:
+        return plan(options, chosen, typed)
+    with alone(ROOT / "figures" / "latest" / "lock", " ".join(sys.argv[1:])):
+        return (audit_runs if options.audit else run)(options, chosen, typed)
 
 
 def kernel_options(options: argparse.Namespace, **more: object) -> dict:
@@ -158,10 +165,11 @@ def run(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, d
         print(f"{title} made in {time.time() - start:.0f} s", file=sys.stderr, flush=True)
         finished[number] = typed[number]
     report.write_provenance(folder, options.profile, finished)
-    print("\n".join(report.comparison_lines(report.compare(folder, reference))))
+    compared, index = report.compare(folder, reference), book.build_book(folder, reference)
+    print("\n".join(report.comparison_lines(compared)))
     counts = report.verdict_counts(read_json(folder / "claims.json", []))
     print("claims: " + ", ".join(f"{number} {verdict}" for verdict, number in counts.items()))
-    print(f"book: {book.build_book(folder, reference)}")
+    print(f"book: {index}")
     left = ", ".join(str(number) for number in chosen if number not in finished)
     return complain(f"not made: chapter {left} (see above)", 1) if left else 0
 

@@ -23,6 +23,16 @@ def test_a_locale_that_is_not_installed_spoils_neither_chapter_nor_book(tmp_path
     assert (root / "figures" / "latest" / "quick" / "book" / "index.html").exists()
 
 
+def test_a_users_settings_of_drawing_do_not_reach_a_chapter(project, tmp_path):
+    (tmp_path / "matplotlibrc").write_text("lines.linewidth: 9\nbackend: TkAgg\n")
+    root = make_project(tmp_path / "project")
+    done = command(root, "run", MPLBACKEND="TkAgg", MATPLOTLIBRC=str(tmp_path / "matplotlibrc"))
+    assert done.returncode == 0, done.stderr
+    ours, plain = (place / "figures" / "latest" / "quick" for place in (root, project))
+    assert (ours / "F4.1.png").read_bytes() == (plain / "F4.1.png").read_bytes()
+    assert "image/png" in (ours / "notebooks" / "ch04_demonstration.ipynb").read_text()
+
+
 def test_a_book_that_cannot_be_built_says_why(tmp_path, monkeypatch):
     monkeypatch.setattr(book, "CONFIGURATION", book.CONFIGURATION + "\nraise KeyError('the very cause')\n")
     with pytest.raises(ReproductionError, match="could not be built: .*KeyError: 'the very cause'") as caught:
@@ -33,8 +43,10 @@ def test_a_book_that_cannot_be_built_says_why(tmp_path, monkeypatch):
 def test_surroundings_are_ours_and_what_is_added(monkeypatch):
     monkeypatch.setenv("LC_ALL", ABSENT)
     monkeypatch.setenv("OURS", "kept")
+    monkeypatch.setenv("MPLBACKEND", "TkAgg")
     found = surroundings(CI="1")
     assert (found["LC_ALL"], found["OURS"], found["CI"]) == (LOCALE, "kept", "1")
+    assert "MPLBACKEND" not in found
 
 
 def test_last_words_are_the_end_on_one_line():

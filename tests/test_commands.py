@@ -13,6 +13,7 @@ import pytest
 from conftest import REPOSITORY, command, make_project, write_notebook
 
 from lifelong_lib.__main__ import main
+from lifelong_lib.reproduction.files import alone
 from lifelong_lib.reproduction.machine import processor
 from lifelong_lib.reproduction.store import Store
 
@@ -74,6 +75,24 @@ def test_pytest_gets_what_follows_test(monkeypatch):
     monkeypatch.setattr("lifelong_lib.__main__.subprocess.run", stand_in)
     assert main(["test", "-k", "layout", "--fresh"]) == 5
     assert called == [[sys.executable, "-m", "pytest", "-k", "layout", "--fresh"]]
+
+
+def test_a_second_run_in_one_folder_says_which_one_is_going_on(tmp_path):
+    root = make_project(tmp_path)
+    with alone(root / "figures" / "latest" / "lock", "run --chapters 4"):
+        done = command(root, "run")
+        assert done.returncode == 2 and done.stderr.count("\n") == 1
+        assert f"another run is going on in this folder (process {os.getpid()}: run --chapters 4)" in done.stderr
+        assert command(root, "run", "--plan").returncode == 0, "a plan disturbs nobody"
+
+
+def test_who_reads_the_first_line_only_is_no_error(project):
+    """As in `./reproduce.sh compare | head -1`."""
+    environment = os.environ | {"LIFELONG_ROOT": str(project), "PYTHONPATH": str(REPOSITORY)}
+    child = subprocess.Popen([sys.executable, "-m", "lifelong_lib", "compare"], env=environment, text=True,
+                             stdout=subprocess.PIPE, stderr=subprocess.PIPE)  # fmt: skip
+    child.stdout.close()
+    assert child.stderr.read() == "" and child.wait() == 0
 
 
 def test_a_run_tells_what_it_did(project):
@@ -192,11 +211,14 @@ def script(tmp_path):
     """reproduce.sh in an empty folder, where `python3.11 -m venv` and pip are shell stand-ins that note their calls."""
     shutil.copyfile(REPOSITORY / "reproduce.sh", tmp_path / "reproduce.sh")
     (tmp_path / "environment.txt").write_text("six==1.17.0\n")
+    (tmp_path / "lifelong_lib").mkdir()
     tools = tmp_path / "tools"
     tools.mkdir()
     (tools / "python3.11").write_text(f"""#!/bin/bash
 echo "$*" >> {tmp_path}/calls
-if [ "$1 $2" = "-m venv" ]; then mkdir -p "$3/bin"; cp "$0" "$3/bin/python"; fi
+if [ "$1" = "-c" ]; then echo True; fi
+if [ "$*" = "-m pip --version" ]; then [ ! -e "$(dirname "$0")/without_pip" ]; exit; fi
+if [ "$1 $2" = "-m venv" ]; then mkdir -p "$3/bin"; cp "$0" "$3/bin/python"; touch "$3/pyvenv.cfg"; fi
 if [ "$1 $2" = "-m pip" ]; then exit "$(cat {tmp_path}/pip_fails 2>/dev/null || echo 0)"; fi
 """)
     (tools / "python3.11").chmod(0o755)
@@ -209,7 +231,7 @@ def call(root, *arguments, **variables):
     done = subprocess.run(typed, env=environment, capture_output=True, text=True)
     calls = (root / "calls").read_text().splitlines() if (root / "calls").exists() else []
     (root / "calls").unlink(missing_ok=True)
-    return done, [line for line in calls if not line.startswith("-c ")]
+    return done, [line for line in calls if not line.startswith(("-c ", "-m pip --version"))]
 
 
 def test_set_up_happens_once_and_an_interrupted_one_is_repeated(script):
@@ -231,6 +253,41 @@ def test_another_interpreter_skips_the_set_up(script):
     assert calls == ["-m lifelong_lib lab"] and not (script / ".venv").exists()
     done, _ = call(script, LIFELONG_PYTHON="/no/such/python")
     assert done.returncode == 2 and done.stderr == "error: LIFELONG_PYTHON=/no/such/python is not a program\n"
+    done, _ = call(script, LIFELONG_PYTHON="/bin/true")
+    assert done.returncode == 2 and "LIFELONG_PYTHON=/bin/true is no Python" in done.stderr
+
+
+def test_an_environment_without_pip_is_made_anew_and_a_foreign_folder_is_not_touched(script):
+    call(script)
+    (script / ".venv" / "bin" / "without_pip").touch()
+    (script / ".venv" / "installed.txt").unlink()
+    assert call(script)[1][0] == "-m venv .venv" and not (script / ".venv" / "bin" / "without_pip").exists()
+    shutil.rmtree(script / ".venv")
+    (script / ".venv").mkdir()
+    (script / ".venv" / "mine").touch()
+    done, calls = call(script)
+    assert done.returncode == 2 and ".venv is no virtual environment; move it away" in done.stderr and not calls
+    assert (script / ".venv" / "mine").exists()
+
+
+def test_a_link_leads_to_the_project_and_nothing_is_touched_beside_it(script):
+    elsewhere = script / "elsewhere"
+    (elsewhere / ".venv").mkdir(parents=True)
+    (elsewhere / "reproduce.sh").symlink_to("../reproduce.sh")
+    typed = ["bash", str(elsewhere / "reproduce.sh"), "lab"]
+    done = subprocess.run(typed, env={"PATH": f"{script}/tools:/usr/bin:/bin"}, capture_output=True, text=True)
+    assert done.returncode == 0 and (script / ".venv" / "pyvenv.cfg").exists()
+    assert list((elsewhere / ".venv").iterdir()) == []
+    shutil.copyfile(script / "reproduce.sh", elsewhere / "copy.sh")
+    done = subprocess.run(["bash", str(elsewhere / "copy.sh")], capture_output=True, text=True)
+    assert done.returncode == 2 and "is not the project's folder" in done.stderr
+
+
+def test_packages_of_other_programs_stay_outside(script):
+    python = script / "tools" / "python3.11"
+    python.write_text(python.read_text() + f'echo "$PYTHONPATH" >> {script}/calls\n')
+    surroundings = {"PYTHONPATH": "/opt/ros/lib", "PYTHONHOME": "/opt/ros"}
+    assert call(script, "lab", LIFELONG_PYTHON=str(python), **surroundings)[1][-1] == str(script)
 
 
 def test_text_is_read_as_utf8_whatever_the_locale(script):

@@ -79,6 +79,7 @@ def test_values_take_the_type_of_the_default(notebook, name, text, value):
     ("seeds", "1.5", "wants a whole number, not '1.5'"), ("seeds", "many", "wants a whole number"),
     ("seeds", True, "wants a whole number"), ("scale", "fast", "wants a number"),
     ("broken", "1", "wants true or false"), ("tasks", "3,x", "wants a list"), ("tasks", "[1.5]", "wants a list"),
+    ("tasks", "[]", "wants a list with entries, not '[]'"), ("tasks", "", "wants a list with entries"),
     ("profile", 3, "wants a text"), ("sclae", "1", "did you mean 'scale'?"),
     ("zzz", "1", "it has profile, seeds"), ("scale", "{[1]: 2}", "wants a number"),
 ])
@@ -86,6 +87,16 @@ def test_wrong_names_and_types_are_refused(notebook, name, text, complaint):
     with pytest.raises(ReproductionError) as caught:
         typed_parameters(notebook, {name: text})
     assert complaint in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_two_notebooks_of_one_chapter_are_refused_and_copies_are_named(tmp_path, capsys):
+    first = write_notebook(tmp_path / "ch02_background.ipynb", [TITLE])
+    write_notebook(tmp_path / "ch02_background-Copy1.ipynb", [TITLE])
+    assert find_notebooks(tmp_path) == {2: first}
+    assert capsys.readouterr().err.startswith("warning: ch02_background-Copy1.ipynb is a copy and is not run")
+    write_notebook(tmp_path / "ch02_mine.ipynb", [TITLE])
+    with pytest.raises(ReproductionError, match="ch02_background.ipynb and ch02_mine.ipynb are both chapter 2: move"):
+        find_notebooks(tmp_path)
 
 
 def test_ids_are_read_from_the_code_with_the_heading_above(tmp_path):

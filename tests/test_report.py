@@ -3,6 +3,7 @@
 import hashlib
 import json
 import re
+import shutil
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -108,6 +109,25 @@ def test_a_chapter_shows_results_first_folds_drawing_and_explains_below_a_verdic
     assert page.cells[1].source.count("a \\| b") == 1, "another chapter's claims stand elsewhere"
     assert ["hide-input" in cell.metadata.get("tags", []) for cell in page.cells[2:5]] == [True, True, False]
     assert "Because." in page.cells[-1].source and "why?" in page.cells[-1].source
+
+
+def test_the_old_book_stays_until_the_new_one_is_whole(tmp_path, monkeypatch):
+    for name in ("book", "new"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "index.html").write_text(name)
+
+    def full(*places):
+        (tmp_path / "book.part").mkdir()
+        raise shutil.Error([("a", "b", "[Errno 28] No space left on device")] * 500)
+
+    with monkeypatch.context() as broken, pytest.raises(ReproductionError, match="book: the disk is full") as caught:
+        broken.setattr(book.shutil, "copytree", full)
+        book.replace_folder(tmp_path / "book", tmp_path / "new")
+    assert len(str(caught.value)) < 200 + len(str(tmp_path))
+    assert (tmp_path / "book" / "index.html").read_text() == "book"
+    book.replace_folder(tmp_path / "book", tmp_path / "new")
+    assert (tmp_path / "book" / "index.html").read_text() == "new"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["book", "new"]
 
 
 def test_the_same_results_make_the_same_book(project):

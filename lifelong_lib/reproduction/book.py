@@ -3,6 +3,7 @@
 Sphinx and myst-nb build them from the executed notebooks and the files in `figures/latest/<profile>`.
 """
 
+import errno
 import html
 import json
 import re
@@ -22,7 +23,7 @@ from sphinx.util import logging
 
 from lifelong_lib.reproduction.children import last_words, surroundings
 from lifelong_lib.reproduction.claims import ledger
-from lifelong_lib.reproduction.files import ROOT, read_json, read_toml, require
+from lifelong_lib.reproduction.files import ROOT, explained, read_json, read_toml, require
 from lifelong_lib.reproduction.fingerprint import SOURCES
 from lifelong_lib.reproduction.grid import read_reports
 from lifelong_lib.reproduction.labels import VERDICTS, order
@@ -92,9 +93,25 @@ def build_book(folder: Path, reference: Path) -> Path:
         done = subprocess.run(command, cwd=SOURCES, env=surroundings(), capture_output=True, text=True)
         require(done.returncode == 0, f"the book could not be built: {last_words(done.stderr)}")
         sys.stderr.write(done.stderr.replace(f"{source}/", ""))
-        shutil.rmtree(folder / "book", ignore_errors=True)
-        shutil.move(out, folder / "book")
+        replace_folder(folder / "book", out)
     return folder / "book" / "index.html"
+
+
+def replace_folder(folder: Path, new: Path) -> None:
+    """Puts `new`, which may be on another disk, in the place of `folder`, which stays until the new one is whole."""
+    part, old = folder.with_name(f"{folder.name}.part"), folder.with_name(f"{folder.name}.old")
+    for left in (part, old):
+        shutil.rmtree(left, ignore_errors=True)
+    with explained(folder):
+        try:
+            shutil.copytree(new, part)
+        except shutil.Error as error:  # a long list, one entry a file
+            full = "No space" in str(error)
+            raise OSError(errno.ENOSPC if full else errno.EIO, "not every page could be copied") from error
+        if folder.exists():
+            folder.rename(old)
+        part.rename(folder)
+        shutil.rmtree(old, ignore_errors=True)
 
 
 def _chapter_page(path: Path, standing: list[dict], explained: dict) -> nbformat.NotebookNode:

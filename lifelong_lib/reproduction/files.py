@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import fcntl
 import hashlib
 import json
 import os
@@ -84,6 +85,25 @@ def explained(path: Path):
         full = error.errno in (errno.ENOSPC, errno.EDQUOT)
         cause = "the disk is full, free some space" if full else f"{error.strerror}, check the folder"
         raise ReproductionError(f"cannot write {path}: {cause} and run again; what was stored is kept") from error
+
+
+@contextlib.contextmanager
+def alone(path: Path, doing: str):
+    """Hold the lock of the file at `path` meanwhile; ReproductionError that says what another process does with it."""
+    with explained(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = path.open("a+")
+    with file:
+        file.seek(0)
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ReproductionError(f"another run is going on in this folder ({file.read()}): wait for it, or run in "
+                                    "another copy of the project") from None  # fmt: skip
+        file.truncate(0)
+        file.write(f"process {os.getpid()}: {doing}")
+        file.flush()
+        yield
 
 
 def _as_text(content) -> str:

@@ -17,19 +17,29 @@ import papermill
 from jupyter_client.kernelspec import NoSuchKernel
 from papermill.exceptions import PapermillExecutionError
 
-from lifelong_lib.reproduction.children import surroundings
+from lifelong_lib.reproduction.children import surroundings, warn
 from lifelong_lib.reproduction.files import ROOT, ReproductionError, read_json, require
 from lifelong_lib.reproduction.fingerprint import SOURCES
 
 COMMON = ("profile", "seeds", "workers", "output_dir")
 ENDINGS = {"F": ("csv", "png", "svg"), "T": ("csv", "md")}
-KINDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text", list: "a list"}
+KINDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text", list: "a list with entries"}
 
 
 def find_notebooks(folder: Path | None = None) -> dict[int, Path]:
-    """The chapter notebooks by chapter number: `notebooks/ch04_predicting_policies.ipynb` is number 4."""
-    paths = sorted((folder or ROOT / "notebooks").glob("ch[0-9][0-9]_*.ipynb"))
-    return {int(path.name[2:4]): path for path in paths}
+    """The chapter notebooks by chapter number: `notebooks/ch04_predicting_policies.ipynb` is number 4.
+
+    JupyterLab's copies are named and left out; two notebooks of one chapter raise ReproductionError.
+    """
+    found: dict[int, Path] = {}
+    for path in sorted((folder or ROOT / "notebooks").glob("ch[0-9][0-9]_*.ipynb")):
+        number = int(path.name[2:4])
+        if "-Copy" in path.stem:
+            warn(f"{path.name} is a copy and is not run; rename it, in place of the other, to use it")
+            continue
+        first = found.setdefault(number, path)
+        require(first is path, f"{first.name} and {path.name} are both chapter {number}: move one of them away")
+    return found
 
 
 def read_notebook(path: Path) -> nbformat.NotebookNode:
@@ -90,6 +100,7 @@ def _convert(value: object, default: object) -> object:
     if kind is float and type(value) is int:
         value = float(value)
     require(type(value) is kind, "another type")  # not isinstance: True is no whole number here
+    require(value or kind is not list or not default, "a list without entries")
     return [_convert(item, default[0]) for item in value] if kind is list and default else value
 
 
@@ -143,9 +154,10 @@ def execute(path: Path, parameters: dict[str, object], folder: Path, options: di
     changed = {name: value for name, value in typed_parameters(path, parameters).items() if value != defaults[name]}
     copy = folder / "notebooks" / path.name
     copy.parent.mkdir(parents=True, exist_ok=True)
-    kernel = surroundings(LIFELONG_OPTIONS=json.dumps(options), PYTHONPATH=str(SOURCES), PYTHONHASHSEED="0")
+    kernel = surroundings(LIFELONG_OPTIONS=json.dumps(options), PYTHONPATH=str(SOURCES), PYTHONHASHSEED="0",
+                          PYDEVD_DISABLE_FILE_VALIDATION="1")  # fmt: skip
     try:
-        with patch.dict(os.environ, kernel, PYDEVD_DISABLE_FILE_VALIDATION="1"):  # the kernel starts with a copy
+        with patch.dict(os.environ, kernel, clear=True):  # the kernel starts with a copy
             papermill.execute_notebook(
                 str(path), str(copy), changed, kernel_name="python3", language="python", cwd=str(ROOT),
                 progress_bar=False, allow_errors="plan" in options, extra_arguments=["--log-level=CRITICAL"],

@@ -138,7 +138,7 @@ def verdict_counts(claims: list[dict]) -> dict[str, int]:
 def accept(latest: Path, reference: Path) -> int:
     """Makes the results in `latest` the reference; chapters that are not in `latest` keep theirs. Returns how many."""
     made = list(latest.glob(RESULTS))
-    require(made, f"there is nothing in {latest} to accept; run `./reproduce.sh run` first")
+    require(made, f"there is nothing in {latest} to accept; run `./reproduce.sh run --profile {latest.name}` first")
     claims = read_json(latest / "claims.json", [])
     chapters = {order(name)[1] for name in [path.stem for path in made] + [row["id"] for row in claims]}
     reference.mkdir(parents=True, exist_ok=True)

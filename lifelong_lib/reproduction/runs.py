@@ -9,7 +9,6 @@ import contextlib
 import json
 import math
 import os
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,13 +17,14 @@ import numpy as np
 from tqdm import tqdm
 
 from lifelong_lib.reproduction.audits import audit, stamped
+from lifelong_lib.reproduction.children import terminal, warn
 from lifelong_lib.reproduction.configurations import canonical
 from lifelong_lib.reproduction.files import ROOT, ReproductionError, read_json, require
 from lifelong_lib.reproduction.fingerprint import checksums, fingerprint
 from lifelong_lib.reproduction.grid import Grid, make_tasks, whole
 from lifelong_lib.reproduction.machine import commit, versions
 from lifelong_lib.reproduction.packed import Run
-from lifelong_lib.reproduction.store import Store, warn
+from lifelong_lib.reproduction.store import Store
 
 PROFILES = ("smoke", "quick", "paper")
 
@@ -152,9 +152,8 @@ def _compute_and_store(chapter, grid, store, keys) -> dict[str, Run]:
 
 
 def _bar(title, total):
-    """Progress with the time left, on this process's own standard error: a notebook must not keep it in its outputs."""
-    own = getattr(sys.stderr, "_original_stdstream_copy", None)  # where ipykernel keeps it
-    stream = sys.__stderr__ if own is None else open(own, "w", closefd=False)
+    """Progress with the time left, on the terminal: a notebook must not keep it in its outputs."""
+    stream = terminal()
     pace = 0.5 if stream.isatty() else 15  # seconds
     return tqdm(total=total, desc=title, unit="run", file=stream, disable=not total, mininterval=pace)
 

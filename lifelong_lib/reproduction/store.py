@@ -8,10 +8,10 @@ set aside and never read.
 import contextlib
 import os
 import shutil
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 
+from lifelong_lib.reproduction.children import warn
 from lifelong_lib.reproduction.files import explained, require, seal, sha256, unseal, write_atomically
 from lifelong_lib.reproduction.packed import UNREADABLE, Run, from_npz, pack, to_npz, unpack
 
@@ -103,8 +103,3 @@ class Store:
             if file.exists() and not keep:
                 os.replace(file, f"{file}.damaged")
         return None
-
-
-def warn(message: str) -> None:
-    """One line on standard error: warnings.warn would put this machine's paths into the notebook."""
-    print(f"warning: {message}", file=sys.stderr)
