@@ -19,7 +19,7 @@ from lifelong_lib.reproduction.files import ReproductionError
 
 def run(experiment, configs, workers=1, backend="loky", address=""):
     calls = {key: Call(f"run {key}", config, key, {}) for key, config in enumerate(configs)}
-    return {key: values for key, values, _ in completed(experiment, calls, backend, workers, address)}
+    return {key: values for key, values, *_ in completed(experiment, calls, backend, workers, address)}
 
 
 @pytest.mark.parametrize("workers", [1, 2])

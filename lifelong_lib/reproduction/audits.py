@@ -16,7 +16,7 @@ from lifelong_lib.reproduction.configurations import canonical
 from lifelong_lib.reproduction.files import require, sha256
 from lifelong_lib.reproduction.fingerprint import changes
 from lifelong_lib.reproduction.grid import Grid
-from lifelong_lib.reproduction.machine import commit, versions
+from lifelong_lib.reproduction.machine import commit
 from lifelong_lib.reproduction.packed import Run, group_of
 from lifelong_lib.reproduction.store import Store
 
@@ -40,12 +40,13 @@ def audit(grid: Grid, results: Path, workers: int, options: Mapping) -> list[dic
             return []
         known = _made_here(grid, kept, number)
         share = list(known)
-    for key, values, seconds in grid.computed(share, workers, options):
-        compared, differs = differences(known[key].values, values)
+    for run in grid.computed(share, workers, options):
+        key = run.key
+        compared, differs = differences(known[key].values, run.values)
         rows.append({"run": f"{grid.name}/{key}", "same": not differs, "differs": differs, "compared": compared,
                      "stale": key in grid.stale, "made_on": known[key].versions.get("processor", "one unknown")})
         if options.get("values"):
-            kept.add(grid.tasks[key].run(values, seconds, versions()))
+            kept.add(run)
     return sorted(rows, key=lambda row: row["run"])
 
 

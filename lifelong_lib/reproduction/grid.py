@@ -1,5 +1,6 @@
 """A grid: which runs are wanted, what each draws from and depends on, how much of it is stored, and a report on it."""
 
+import contextlib
 import json
 import re
 from collections import Counter
@@ -64,10 +65,11 @@ class Grid:
         """How many runs are stale because of what."""
         return dict(Counter(cause for found in self.stale.values() for cause in found))
 
-    def computed(self, keys: Iterable[str], workers: int, options: Mapping) -> Iterator[tuple]:
-        """(name, values, wall seconds) of these runs, computed now, in order of completion."""
-        calls = {key: self.tasks[key].call for key in keys}
-        return completed(self.experiment, calls, options.get("backend", "loky"), workers, options.get("address", ""))
+    def computed(self, keys: Iterable[str], workers: int, options: Mapping) -> Iterator[Run]:
+        """These runs, computed now, in order of completion."""
+        calls, place = {key: self.tasks[key].call for key in keys}, options.get("backend", "loky")
+        with contextlib.closing(completed(self.experiment, calls, place, workers, options.get("address", ""))) as found:
+            yield from (self.tasks[key].run(*made) for key, *made in found)
 
     @property
     def seconds_per_run(self) -> float | None:

@@ -4,11 +4,12 @@ import contextlib
 import platform
 import re
 import subprocess
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 
 from lifelong_lib.reproduction.children import surroundings
-from lifelong_lib.reproduction.files import ROOT
+from lifelong_lib.reproduction.files import ROOT, sha256
 
 PACKAGES = ("numpy", "scipy", "scikit-learn", "torch", "gymnasium", "pybullet", "libsumo")
 
@@ -35,6 +36,14 @@ def versions(*more: str) -> dict[str, str]:
         with contextlib.suppress(metadata.PackageNotFoundError):  # of a simulator that another chapter needs
             found[package] = metadata.version(package)
     return found
+
+
+@cache
+def checkout() -> str:
+    """Digest of the library and the data it reads, as this process found them: a worker goes on with what it has."""
+    here, names = Path(__file__).resolve().parents[2], ("lifelong_lib/**/*.py", "data/*/SHA256SUMS", "data/*/*.csv")
+    files = sorted(path for name in names for path in here.glob(name))
+    return sha256("".join(f"{path.relative_to(here)} {sha256(path.read_bytes())}\n" for path in files))[:12]
 
 
 def processor() -> str:

@@ -137,13 +137,13 @@ def _complete(chapter, grid, store) -> dict[str, Run]:
 
 def _compute_and_store(chapter, grid, store, keys) -> dict[str, Run]:
     """Compute runs and store each as it comes."""
-    done, installed, title = {}, versions(), f"{chapter.results.name} {grid.name}"
+    done, title = {}, f"{chapter.results.name} {grid.name}"
     results = grid.computed(keys, chapter.workers, chapter.options)
     try:
         with contextlib.closing(results), _bar(title, len(keys)) as bar:
-            for key, values, seconds in results:
-                done[key] = grid.tasks[key].run(values, seconds, installed)
-                store.add(done[key])
+            for run in results:
+                done[run.key] = run
+                store.add(run)
                 bar.update()
     except KeyboardInterrupt:
         message = f"interrupted: {len(done)} of {len(keys)} runs of '{grid.name}' are stored, run again for the rest"
