@@ -8,6 +8,8 @@ minor road from the south, on whose line the ego car waits. Where it may drive o
 """
 
 import hashlib
+import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -41,10 +43,18 @@ def sources(lanes: int, goal: str) -> dict[str, str]:
         edges += [f'<edge id="from_{arm}" from="{arm}" to="centre" {shape}/>']
         edges += [f'<edge id="to_{arm}" from="centre" to="{arm}" {shape}/>']
     across = [("from_west", "to_east"), ("from_east", "to_west")]
-    links = [(start, end, lane, lane) for start, end in across for lane in range(lanes)]
-    links += [("from_south", f"to_{goal}", 0, lanes - 1 if goal == "west" else 0)]  # a left turn takes the first lane
+    straight = [(start, end, lane, lane) for start, end in across for lane in range(lanes)]
+    turn = ("from_south", f"to_{goal}", 0, lanes - 1 if goal == "west" else 0)  # a left turn takes the first lane
+    return texts(nodes, edges, straight, turn)
+
+
+def texts(nodes: list[str], edges: list[str], straight: list[tuple], turn: tuple) -> dict[str, str]:
+    """The files of a junction: its nodes and edges, and what follows from its links (from, to, lane, onto lane).
+
+    straight: those of the main road, on each of which cars come; turn: that of the ego car.
+    """
     connections = [f'<connection from="{start}" to="{end}" fromLane="{lane}" toLane="{onto}"/>'
-                   for start, end, lane, onto in links]  # fmt: skip
+                   for start, end, lane, onto in [*straight, turn]]  # fmt: skip
     driver = ['<param key="has.driverstate.device" value="true"/>']
     driver += ['<param key="device.driverstate.initialAwareness" value="0.5"/>']  # drivers misjudge gaps and speeds
     # what a driver noticed last is kept by the other car's address in memory, which differs from run to run: with
@@ -55,25 +65,45 @@ def sources(lanes: int, goal: str) -> dict[str, str]:
                'jmIgnoreJunctionFoeProb="1">']  # who has right of way does not brake for a car that crosses
     traffic += [f"    {line}" for line in driver] + ["</vType>"]
     traffic += ['<vType id="ego" length="5" width="1.8" accel="2.6" maxSpeed="20" speedFactor="1" color="red"/>']
-    traffic += [f'<route id="ego" edges="from_south to_{goal}"/>']
+    traffic += [f'<route id="ego" edges="{turn[0]} {turn[1]}"/>']
     traffic += [f'<flow id="{start}_{lane}" type="car" begin="0" end="1000000" probability="{RATE}" from="{start}" '
-                f'to="{end}" departLane="{lane}" departSpeed="max"/>' for start, end in across
-                for lane in range(lanes)]  # fmt: skip
+                f'to="{end}" departLane="{lane}" departSpeed="max"/>' for start, end, lane, _ in straight]  # fmt: skip
     parts = {"nod": ("nodes", nodes), "edg": ("edges", edges), "con": ("connections", connections)}
     return {kind: xml(*part) for kind, part in (parts | {"rou": ("routes", traffic)}).items()}
 
 
 def build(name: str) -> None:
-    """Write the sources of a junction and have netconvert make its network, without the date that it would add."""
-    for kind, text in sources(*JUNCTIONS[name]).items():
+    """Write the sources of a junction and have netconvert make its network."""
+    convert(name, sources(*JUNCTIONS[name]))
+
+
+def convert(name: str, parts: dict[str, str]) -> None:
+    """Write the files of a junction into HERE, and the network that netconvert makes of them, without its date."""
+    for kind, text in parts.items():
         (HERE / f"{name}.{kind}.xml").write_text(text)
     files = [part for kind in ("nod", "edg", "con") for part in (f"--{FLAGS[kind]}", str(HERE / f"{name}.{kind}.xml"))]
     network = HERE / f"{name}.net.xml"
     options = ["--no-turnarounds", "true", "--junctions.limit-turn-speed", "-1", "--junctions.corner-detail", "5"]
-    subprocess.run(["netconvert", *files, "-o", str(network), *options], check=True, stdout=sys.stderr)
+    netconvert(*files, "-o", str(network), *options)
     text = network.read_text()
     head, _, rest = text.partition("<!--")
     network.write_text(head + rest.partition("-->\n\n")[2])
+
+
+def netconvert(*options: str) -> None:
+    """Call the program, beside this Python or on the path."""
+    program = shutil.which("netconvert", path=os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]))
+    if program is None:
+        sys.exit("error: netconvert is missing: pip install eclipse-sumo==1.28.0")
+    if subprocess.run([program, *options], stdout=sys.stderr).returncode:
+        sys.exit("error: netconvert could not make the network (see above)")
+
+
+def write_checksums() -> None:
+    """The list of what a simulation reads, which it checks."""
+    files = sorted(file for kind in ("net", "rou") for file in HERE.glob(f"*.{kind}.xml"))
+    sums = [f"{hashlib.sha256(file.read_bytes()).hexdigest()}  {file.name}" for file in files]
+    (HERE / "SHA256SUMS").write_text("\n".join(sums) + "\n")
 
 
 FLAGS = {"nod": "node-files", "edg": "edge-files", "con": "connection-files"}
@@ -81,6 +111,4 @@ FLAGS = {"nod": "node-files", "edg": "edge-files", "con": "connection-files"}
 if __name__ == "__main__":
     for name in JUNCTIONS:
         build(name)
-    files = sorted(file for kind in ("net", "rou") for file in HERE.glob(f"*.{kind}.xml"))
-    sums = [f"{hashlib.sha256(file.read_bytes()).hexdigest()}  {file.name}" for file in files]
-    (HERE / "SHA256SUMS").write_text("\n".join(sums) + "\n")
+    write_checksums()

@@ -5,6 +5,7 @@ Run: python build.py. Like the script of data/intersections, on which it stands,
 """
 
 import hashlib
+import re
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
@@ -23,17 +24,20 @@ def junctions():
     return module
 
 
+def write_traffic(folder: Path) -> None:
+    """Write the traffic of three densities beside that of chapter 5."""
+    traffic = (folder / "left.rou.xml").read_text().replace(CHAPTER_5, SLOWER)
+    # an own car without SUMO's random slowness, which would draw from the numbers that move the traffic
+    traffic = traffic.replace('id="ego" length', 'id="ego" sigma="0" length')
+    for rate in RATES:
+        (folder / f"left-{rate}.rou.xml").write_text(re.sub('probability="[^"]*"', f'probability="{rate}"', traffic))
+
+
 if __name__ == "__main__":
     script = junctions()
     script.build("left")
+    write_traffic(HERE)
     (HERE / "left.rou.xml").unlink()
-    for rate in RATES:
-        script.RATE = rate
-        traffic = script.sources(*script.JUNCTIONS["left"])["rou"]
-        traffic = traffic.replace(CHAPTER_5, SLOWER)
-        # an own car without SUMO's random slowness, which would draw from the numbers that move the traffic
-        traffic = traffic.replace('id="ego" length', 'id="ego" sigma="0" length')
-        (HERE / f"left-{rate}.rou.xml").write_text(traffic)
     files = sorted(HERE.glob("*.net.xml")) + sorted(HERE.glob("*.rou.xml"))
     sums = [f"{hashlib.sha256(file.read_bytes()).hexdigest()}  {file.name}" for file in files]
     (HERE / "SHA256SUMS").write_text("\n".join(sums) + "\n")

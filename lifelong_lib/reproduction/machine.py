@@ -41,7 +41,8 @@ def versions(*more: str) -> dict[str, str]:
 @cache
 def checkout() -> str:
     """Digest of the library and the data it reads, as this process found them: a worker goes on with what it has."""
-    here, names = Path(__file__).resolve().parents[2], ("lifelong_lib/**/*.py", "data/*/SHA256SUMS", "data/*/*.csv")
+    here = Path(__file__).resolve().parents[2]
+    names = ("lifelong_lib/**/*.py", "data/*/SHA256SUMS", "data/*/*/SHA256SUMS", "data/*/*.csv")
     files = sorted(path for name in names for path in here.glob(name))
     return sha256("".join(f"{path.relative_to(here)} {sha256(path.read_bytes())}\n" for path in files))[:12]
 
