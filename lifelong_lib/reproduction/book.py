@@ -21,6 +21,7 @@ from jinja2 import ChainableUndefined, Environment, FileSystemLoader
 from sphinx.util import logging
 
 from lifelong_lib.reproduction.children import last_words, surroundings
+from lifelong_lib.reproduction.costs import cost_table
 from lifelong_lib.reproduction.files import ROOT, read_json, require
 from lifelong_lib.reproduction.fingerprint import SOURCES
 from lifelong_lib.reproduction.grid import read_reports
@@ -60,6 +61,7 @@ def build_book(folder: Path, reference: Path) -> Path:
     recordings = sorted(path.stem for path in (folder / "recordings").glob("*.rrd"))
     pages = {"claims": _page("claims", claims=claims, places=places), "not_reproduced": _missing_page(claims),
              "deviations": (ROOT / "DEVIATIONS.md").read_text(), "recordings": _page("recordings", names=recordings),
+             "costs": _page("costs", rows=cost_table(ROOT / "data" / "results" / "paper")),
              "provenance": _page("provenance", made=made, text=json.dumps(made, indent=1))}
     contents = [f"chapters/{path.stem}" for path in copies] + list(pages)
     pages["index"] = _page("index", profile=folder.name, claims=claims, places=places, contents=contents,
