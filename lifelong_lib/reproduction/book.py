@@ -23,6 +23,7 @@ from sphinx.util import logging
 
 from lifelong_lib.reproduction.children import last_words, surroundings
 from lifelong_lib.reproduction.claims import ledger
+from lifelong_lib.reproduction.costs import cost_table
 from lifelong_lib.reproduction.files import ROOT, explained, read_json, read_toml, require
 from lifelong_lib.reproduction.fingerprint import SOURCES
 from lifelong_lib.reproduction.grid import read_reports
@@ -68,6 +69,7 @@ def build_book(folder: Path, reference: Path) -> Path:
              "not_reproduced": _page("not_reproduced", introduction=introduction, others=others,
                                      explained=_explained(standing, findings), untested=_with("not tested", standing)),
              "deviations": (ROOT / "DEVIATIONS.md").read_text(), "recordings": _page("recordings", names=recordings),
+             "costs": _page("costs", rows=cost_table(ROOT / "data" / "results" / "paper")),
              "provenance": _page("provenance", made=made, text=json.dumps(made, indent=1))}  # fmt: skip
     contents = [f"chapters/{path.stem}" for path in copies] + list(pages)
     pages["index"] = _page("index", profile=folder.name, claims=claims, standing=standing, places=places,
