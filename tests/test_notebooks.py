@@ -157,7 +157,8 @@ def test_nothing_runs_when_a_parameter_is_wrong(notebook, tmp_path):
 def test_chapter_at_smoke_makes_everything_it_announces(path, tmp_path):
     execute(path, {"profile": "smoke", "output_dir": str(tmp_path)}, tmp_path)
     made = made_ids(path)
-    assert made and all(len(places) == 1 for places in made.values())
+    assert bool(made) == (path.name[:4] not in ("ch01", "ch08"))  # which have no figure, table or claim of the thesis
+    assert all(len(places) == 1 for places in made.values())
     assert missing_results(path, tmp_path) == []
     shown = (tmp_path / "notebooks" / path.name).read_text()
     assert "<table>" in shown and "<tbody><tr></tr></tbody>" not in shown  # no table without rows
