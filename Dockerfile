@@ -17,7 +17,7 @@ RUN apt-get update && apt-get install --yes --no-install-recommends \
 WORKDIR /lifelong
 COPY --from=packages /lifelong/.venv .venv
 COPY README.md CONTRIBUTING.md DEVIATIONS.md CHANGELOG.md CITATION.cff LICENSE Dockerfile ./
-COPY pyproject.toml environment.txt reproduce.sh .gitignore ./
+COPY pyproject.toml environment.txt reproduce.sh .gitignore .gitattributes ./
 COPY .ci .ci
 COPY lifelong_lib lifelong_lib
 COPY notebooks notebooks

@@ -155,7 +155,7 @@ def _dask(address, installed):
             yield client.get_executor(), partial(_compute_there, checkout()), size
         except KilledWorker as error:
             raise ReproductionError("Dask workers died again and again (out of memory, or a crash)") from error
-        except CancelledError as error:
+        except (CancelledError, OSError) as error:  # the second, a closed connection, where it is being asked something
             raise ReproductionError(f"the Dask scheduler at {address} is gone: start it and run again") from error
         except RuntimeError as error:  # so Dask says that its scheduler cannot import what was sent
             require("deserialization" not in str(error), stranger)
