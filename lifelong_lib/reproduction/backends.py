@@ -129,6 +129,7 @@ def _prepare_worker():
 def _dask(address, installed):
     """The cluster at the given address, whose workers may come and go."""
     from distributed import Client, KilledWorker  # slow to import, and rarely wanted
+    from distributed.comm import CommClosedError
 
     client = None
     with contextlib.suppress(OSError, ValueError):
@@ -155,7 +156,7 @@ def _dask(address, installed):
             yield client.get_executor(), partial(_compute_there, checkout()), size
         except KilledWorker as error:
             raise ReproductionError("Dask workers died again and again (out of memory, or a crash)") from error
-        except (CancelledError, OSError) as error:  # the second, a closed connection, where it is being asked something
+        except (CancelledError, CommClosedError) as error:  # the second where it is being asked something
             raise ReproductionError(f"the Dask scheduler at {address} is gone: start it and run again") from error
         except RuntimeError as error:  # so Dask says that its scheduler cannot import what was sent
             require("deserialization" not in str(error), stranger)
