@@ -20,9 +20,9 @@ DISTANCE, FALLEN = 10.0, -2.0  # cells that cost 1 a step; reward of every step 
 
 @dataclass(frozen=True)
 class Corridors:
-    """T tasks: ``goals`` (T,), positions within [-10, 10], and ``wiring`` (T, 23), 1 or, where motors run backwards, -1.
+    """T tasks: ``goals`` (T,), positions within [-10, 10]; ``wiring`` (T, 23), -1 where motors run backwards, else 1.
 
-    Raises ValueError for others.
+    Raises ValueError for other numbers.
     """
 
     goals: np.ndarray

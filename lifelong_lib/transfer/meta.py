@@ -17,8 +17,8 @@ def size(nodes: list) -> int:
 def outputs(parameters: torch.Tensor, inputs: torch.Tensor, nodes: list) -> torch.Tensor:
     """Outputs (T, n, nodes[-1]) of T networks for ``inputs`` (n, nodes[0]), or (T, n, nodes[0]) of their own.
 
-    ``parameters`` (T, d): layer after layer a matrix (nodes before, nodes after) and a bias. Between two layers stands a
-    tanh; without a layer in between a model is linear. Raises ValueError for parameters of another number.
+    ``parameters`` (T, d): layer after layer a matrix (nodes before, nodes after) and a bias. Hidden layers end in a
+    tanh; two entries in ``nodes`` make a linear model. Raises ValueError for parameters of another number.
     """
     if parameters.shape[1] != size(nodes):
         raise ValueError(f"a network of {nodes} nodes has {size(nodes)} parameters, got {parameters.shape[1]}")
