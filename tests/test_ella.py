@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sklearn.base import clone
 
 from lifelong_lib.transfer.dictionary import sparse_code
 from lifelong_lib.transfer.ella import ELLA, TaDeLL, joint_code
@@ -321,11 +322,22 @@ def test_a_file_of_another_class_is_refused(tmp_path):
         ELLA.load(tmp_path / "learner.npz")
 
 
-def test_tasks_with_other_names_cannot_be_saved(tmp_path):
+def test_what_is_loaded_is_the_file_that_was_named_and_numpys_integers_are_names(tmp_path):
     one = learner("ELLA")
-    meet_all(one, [(1, 2)])
+    meet_all(one, [np.int64(3), 3, np.str_("b")])
+    assert list(one.codes_) == [3, "b"]
+    one.save(tmp_path / "learner.of.today")
+    assert [path.name for path in tmp_path.iterdir()] == ["learner.of.today"]
+    assert state(ELLA.load(tmp_path / "learner.of.today")) == state(one)
+
+
+@pytest.mark.parametrize("met", [[], [(1, 2)]])
+def test_learners_that_met_nothing_or_tasks_with_other_names_cannot_be_saved(met, tmp_path):
+    one = learner("ELLA")
+    meet_all(one, met)
     with pytest.raises(ValueError, match="named by integers or strings"):
         one.save(tmp_path / "learner.npz")
+    assert not list(tmp_path.iterdir())
 
 
 # -------------------------------------------------------------------------------------------------------- bad input
@@ -335,6 +347,9 @@ def test_tasks_with_other_names_cannot_be_saved(tmp_path):
     (np.ones(4), np.ones(4), r"4 parameters need a square Hessian of that size, got \(4,\)"),
     (np.array([1, np.nan, 0, 0]), np.eye(4), "must be finite; did the single-task learner diverge"),
     (np.ones(4), np.full((4, 4), np.inf), "must be finite; did the single-task learner diverge"),
+    (np.ones((1, 4)), np.eye(4), r"parameters are a vector \(d,\), got \(1, 4\); of a linear model: coef_.ravel"),
+    (np.ones(4), np.diag([1.0, 1, 1, -0.1]), "a Hessian is symmetric and positive semi-definite"),
+    (np.ones(4), np.eye(4) + np.eye(4, k=1), "a Hessian is symmetric and positive semi-definite"),
 ])
 @kinds
 def test_what_does_not_fit_is_refused_and_nothing_is_learned(kind, alpha, hessian, said):
@@ -344,6 +359,38 @@ def test_what_does_not_fit_is_refused_and_nothing_is_learned(kind, alpha, hessia
     with pytest.raises(ValueError, match=said):
         one.partial_fit(0, alpha, hessian, *([np.ones(d_m)] if kind == "TaDeLL" else []))
     assert state(one) == before
+
+
+@kinds
+def test_a_task_whose_numbers_are_too_large_to_solve_is_refused_and_the_learner_goes_on(kind):
+    one, other = learner(kind), learner(kind)
+    for both in (one, other):
+        meet_all(both, [0, 1, 2])
+    with pytest.raises((ValueError, RuntimeError), match="raise ridge|no sparse code"):
+        one.partial_fit(1, np.ones(d), 1e200 * np.eye(d), *([np.ones(d_m)] if kind == "TaDeLL" else []))
+    for both in (one, other):
+        meet_all(both, [1, 3], seed=1)
+    assert state(one) == state(other)
+
+
+@pytest.mark.parametrize("impossible", [{"sparsity": -0.1}, {"n_components": 0}, {"sparsity": float("nan")}])
+def test_impossible_settings_are_refused_before_a_first_task(impossible):
+    one = learner("ELLA", **impossible)
+    with pytest.raises(ValueError, match="sparsity is 0 or more, n_components 1 or more; got"):
+        meet_all(one, [0])
+    assert not hasattr(one, "codes_")
+
+
+def test_a_learner_without_a_hessian_that_says_anything_still_learns():
+    one = learner("ELLA")
+    assert one.partial_fit(0, np.ones(d), np.zeros((d, d))).policy(0).shape == (d,)
+
+
+def test_learners_are_cloned_and_shown_as_scikit_learn_does():
+    one = learner("TaDeLL", sparsity=0.5)
+    meet_all(one, [0])
+    assert clone(one).get_params() == one.get_params() and not hasattr(clone(one), "codes_")
+    assert "sparsity=0.5" in repr(one)
 
 
 def test_a_task_of_another_size_is_refused():

@@ -123,3 +123,9 @@ def test_labels_that_no_model_gives_are_refused():
     x = np.ones((1, 2, 3))  # the same sample twice, with both labels
     with pytest.raises(ValueError, match="no linear model in the cube labels every sample"):
         consistent_models(x, np.array([[0, 1]]), 1, np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("labels", [[0, 1, 2], [0, 1, np.nan], [-1, 1, 1]])
+def test_labels_that_are_neither_0_nor_1_are_refused(labels):
+    with pytest.raises(ValueError, match="labels are 0 or 1, got"):
+        fit_classifier(np.eye(3), np.array(labels))

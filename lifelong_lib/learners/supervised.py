@@ -12,8 +12,11 @@ from sklearn.linear_model import LogisticRegression, Ridge
 def fit_classifier(X: np.ndarray, y: np.ndarray, C: float = 0.1) -> tuple[np.ndarray, np.ndarray]:
     """Logistic regression on X (n, d) and labels y (n,) in {0, 1}; ``C`` is scikit-learn's inverse penalty.
 
-    A task whose samples all carry one label has no boundary; its parameters are then zero.
+    A task whose samples all carry one label has no boundary; its parameters are then zero. Raises ValueError for other
+    labels.
     """
+    if not np.isin(y, (0, 1)).all():
+        raise ValueError(f"labels are 0 or 1, got {np.unique(y)[:5]}")
     n, d = X.shape
     alpha = np.zeros(d)
     if len(np.unique(y)) == 2:

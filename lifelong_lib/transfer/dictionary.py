@@ -4,6 +4,8 @@ A task's vector a (its policy, or its descriptor) is coded as a = L s with few n
 task says how much each direction of a - L s matters: a matrix (d, d), or a number w that stands for w I.
 """
 
+from copy import copy
+
 import numpy as np
 from scipy.linalg.lapack import dposv
 
@@ -89,6 +91,12 @@ class Dictionary:
         self.basis = rng.standard_normal((d, k))
         self.A = np.zeros((k * d, k * d) if weights == "full" else (k, k))
         self.b = np.zeros((k, d))
+
+    def copy(self) -> "Dictionary":
+        """Return one with arrays of its own, and the same generator."""
+        other = copy(self)
+        other.basis, other.A, other.b = self.basis.copy(), self.A.copy(), self.b.copy()
+        return other
 
     def add(self, code: np.ndarray, target: np.ndarray, weight, sign: int = 1) -> None:
         """Add one task's part to A and b (equations 2.13, 2.14); ``sign`` = -1 takes it out again (algorithm 1)."""

@@ -6,22 +6,24 @@ is PG-ELLA (algorithm 1); with task descriptors added it is TaDeLL (algorithm 2)
 """
 
 import json
-from inspect import signature
 
 import numpy as np
+from scipy.linalg.lapack import dpotrf
+from sklearn.base import BaseEstimator
 
 from lifelong_lib.transfer.dictionary import Dictionary, sparse_code
 
 
-class ELLA:
+class ELLA(BaseEstimator):
     """Efficient lifelong learning: policies theta = L s in a dictionary L that grows wiser with each task.
 
-    ``n_components``: columns k of L; ``sparsity``: weight mu of ||s||_1; ``ridge``: weight lambda of ||L||_F^2;
+    ``n_components``: columns k of L; ``sparsity``: weight mu of ||s||_1 (the authors' released ELLA multiplies its own
+    by d / n, n samples in the task, and halves its Hessians); ``ridge``: weight lambda of ||L||_F^2;
     ``start``: "tasks" makes the first k tasks the first columns, as the authors' released ELLA can, "random" draws them
     (algorithms 1, 2), which may take many visits to be forgotten; ``learn_dictionary`` False keeps a random basis (a
     negative control); ``hessian`` False replaces every Gamma by its mean diagonal times I; ``random_state``: seed or
     generator of the first basis.
-    Learned: ``basis_`` (d, k), ``codes_`` {task: (k,)}, ``n_tasks_``.
+    Learned: ``basis_`` (d, k), ``codes_`` {task: (k,)}, ``n_tasks_``. A task that is refused changes nothing.
     """
 
     def __init__(
@@ -39,8 +41,8 @@ class ELLA:
     def partial_fit(self, task, parameters: np.ndarray, hessian: np.ndarray) -> "ELLA":
         """Learn ``task`` (any hashable name), new or met before, from its single-task solution; return self.
 
-        ``parameters``: alpha (d,); ``hessian``: Gamma (d, d), positive semi-definite. Raises ValueError if they do not
-        fit together or are not finite.
+        ``parameters``: alpha (d,); ``hessian``: Gamma (d, d), positive semi-definite. Raises ValueError if they are
+        something else, do not fit together or are not finite, and for impossible settings.
         """
         return self._learn(task, [np.asarray(parameters, float)], [self._weight(parameters, hessian)])
 
@@ -53,17 +55,16 @@ class ELLA:
     def save(self, path) -> None:
         """Write settings and all that was learned to ``path`` (.npz, no pickle); `load` goes on where it stopped.
 
-        Tasks must be named by integers or strings.
+        Raises ValueError before a first task, and unless tasks are named by integers or strings.
         """
-        names = list(self.codes_)
-        if not all(isinstance(name, int | str) for name in names):
-            raise ValueError("only tasks named by integers or strings can be saved")
-        settings = {name: getattr(self, name) for name in signature(type(self)).parameters}
+        names = list(getattr(self, "codes_", ()))
+        if not names or not all(isinstance(name, int | str) for name in names):
+            raise ValueError("only a learner that met tasks, named by integers or strings, can be saved")
         generator = self.dictionaries_[0].rng.bit_generator.state
         arrays = {
             # A generator given as random_state has done its part and is stored as null; its state is kept beside it.
             "about": json.dumps(
-                [type(self).__name__, settings, names, generator],
+                [type(self).__name__, self.get_params(deep=False), names, generator],
                 default=lambda value: value.item() if isinstance(value, np.generic) else None,
             ),
             "codes": [*self.codes_.values()],
@@ -72,7 +73,8 @@ class ELLA:
             arrays |= {f"{part}{view}": getattr(dictionary, part) for part in ("basis", "A", "b")}
             for place, part in enumerate(("target", "weight")):
                 arrays[f"{part}{view}"] = np.array([self._parts[name][view][place] for name in names])
-        np.savez(path, **arrays)
+        with open(path, "wb") as file:  # given only a name, numpy would add an ending to it
+            np.savez(file, **arrays)
 
     @classmethod
     def load(cls, path) -> "ELLA":
@@ -109,39 +111,51 @@ class ELLA:
 
     def _weight(self, parameters, hessian):
         parameters, hessian = np.asarray(parameters, float), np.asarray(hessian, float)
+        if parameters.ndim != 1:
+            raise ValueError(f"parameters are a vector (d,), got {parameters.shape}; of a linear model: coef_.ravel()")
         if hessian.shape != (parameters.size, parameters.size):
             raise ValueError(f"{parameters.size} parameters need a square Hessian of that size, got {hessian.shape}")
         if not (np.isfinite(parameters).all() and np.isfinite(hessian).all()):
             raise ValueError("parameters and Hessian must be finite; did the single-task learner diverge?")
+        slack = 1e-8 * np.abs(hessian).max() + np.finfo(float).tiny  # for rounding
+        lopsided = np.abs(hessian - hessian.T).max() > slack
+        _, indefinite = dpotrf(hessian + slack * np.eye(len(hessian)))
+        if lopsided or indefinite:
+            raise ValueError("a Hessian is symmetric and positive semi-definite; is this one taken at a minimum?")
         return hessian if self.hessian else float(np.diag(hessian).mean())
+
+    def _first(self, targets: list, weights: list) -> list:
+        """The dictionaries before a first task."""
+        if self.start not in ("tasks", "random"):
+            raise ValueError(f"start must be 'tasks' or 'random', got {self.start!r}")
+        rng = np.random.default_rng(self.random_state)
+        return [Dictionary(len(a), self.n_components, self.ridge, "full" if np.ndim(W) else "scalar", rng)
+                for a, W in zip(targets, weights, strict=True)]  # fmt: skip
 
     def _learn(self, task, targets: list, weights: list) -> "ELLA":
         """Code the task in the old dictionaries, exchange its part of A and b, solve them anew (algorithms 1, 2)."""
-        if not hasattr(self, "codes_"):
-            if self.start not in ("tasks", "random"):
-                raise ValueError(f"start must be 'tasks' or 'random', got {self.start!r}")
-            rng = np.random.default_rng(self.random_state)
-            self.codes_, self._parts = {}, {}
-            self.dictionaries_ = [
-                Dictionary(len(a), self.n_components, self.ridge, "full" if np.ndim(W) else "scalar", rng)
-                for a, W in zip(targets, weights, strict=True)
-            ]
-        for dictionary, target in zip(self.dictionaries_, targets, strict=True):  # before anything is changed
+        if not (self.sparsity >= 0 and self.n_components >= 1):
+            raise ValueError(f"sparsity is 0 or more, n_components 1 or more; got {self.sparsity}, {self.n_components}")
+        task = task.item() if isinstance(task, np.generic) else task
+        codes, parts = getattr(self, "codes_", {}), getattr(self, "_parts", {})
+        dictionaries = [old.copy() for old in self.dictionaries_] if codes else self._first(targets, weights)
+        for dictionary, target in zip(dictionaries, targets, strict=True):
             if len(target) != len(dictionary.basis):
                 raise ValueError(f"task {task!r} has {len(target)} numbers, earlier ones had {len(dictionary.basis)}")
-        for view, dictionary in enumerate(self.dictionaries_):
+        for view, dictionary in enumerate(dictionaries):
             dictionary.revive()
-            if task in self.codes_:
-                dictionary.add(self.codes_[task], *self._parts[task][view], sign=-1)
-        if self.start == "tasks" and self.learn_dictionary and self.n_tasks_ < self.n_components:
-            code = self.codes_.get(task, np.eye(self.n_components)[self.n_tasks_])
+            if task in codes:
+                dictionary.add(codes[task], *parts[task][view], sign=-1)
+        if self.start == "tasks" and self.learn_dictionary and len(codes) < self.n_components:
+            code = codes.get(task, np.eye(self.n_components)[len(codes)])
         else:
-            code = joint_code(targets, [dictionary.basis for dictionary in self.dictionaries_], weights, self.sparsity)
-        self.codes_[task], self._parts[task] = code, list(zip(targets, weights, strict=True))
-        for dictionary, target, weight in zip(self.dictionaries_, targets, weights, strict=True):
+            code = joint_code(targets, [dictionary.basis for dictionary in dictionaries], weights, self.sparsity)
+        for dictionary, target, weight in zip(dictionaries, targets, weights, strict=True):
             dictionary.add(code, target, weight)
             if self.learn_dictionary:
-                dictionary.solve(self.n_tasks_)
+                dictionary.solve(len(codes) + (task not in codes))
+        codes[task], parts[task] = code, list(zip(targets, weights, strict=True))
+        self.dictionaries_, self.codes_, self._parts = dictionaries, codes, parts
         return self
 
 
