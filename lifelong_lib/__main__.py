@@ -1,10 +1,11 @@
 """The commands: run, compare, accept, audit, bench, test, lab. `./reproduce.sh` sets up and calls this.
 
-Exit codes: 0 everything asked for was made; 1 something was not (a chapter failed, an audited run differs, a promised
-speed is missed); 2 the command or its input is wrong; 130 interrupted.
+Exit codes: 0 everything asked for was made; 1 something was not (a chapter failed, an audited run or a comparison
+differs, a promised speed is missed); 2 the command or its input is wrong; 130 interrupted.
 """
 
 import argparse
+import json
 import os
 import subprocess
 import sys
@@ -14,7 +15,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 try:
-    from lifelong_lib.reproduction import notebooks, report
+    from lifelong_lib.reproduction import comparison, notebooks, report
     from lifelong_lib.reproduction.children import surroundings
     from lifelong_lib.reproduction.files import ROOT, ReproductionError, alone, read_json, require
     from lifelong_lib.reproduction.grid import read_reports
@@ -92,7 +93,13 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     audit.add_argument("--values", type=os.path.abspath, metavar="FOLDER",
                        help="keep what K runs of every grid come to, for --beside")
     audit.set_defaults(seeds=None, fresh=False, p=[], plan=False, why=None)
-    add("compare", compare_command, "compare the last run with the committed reference", profile)
+    compare = add("compare", compare_command, "two runs side by side, in words and as a page; exit 1: differs", profile)
+    compare.add_argument("folders", nargs="*", type=Path, metavar="FOLDER", default=[],
+                         help="what a run or `accept` wrote: A and B (default: the last run and the reference)")
+    compare.add_argument("--tolerance", type=share, default=comparison.ROUNDING, metavar="T",
+                         help="let numbers differ by T times the largest of their column (default: 1e-9)")
+    compare.add_argument("--json", action="store_true", help="print the comparison as JSON")
+    compare.add_argument("--page", type=Path, metavar="FOLDER", help="where the page goes (default: comparison, in A)")
     add("accept", accept_command, "make the last run the reference", profile)
     add("bench", bench_command, "measure the speed ratios")
     add("test", None, "run the tests; what follows goes to pytest")  # here for the help only, see main
@@ -109,6 +116,13 @@ def positive(text: str) -> int:
     if not text.isdigit() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"'{text}' is not a whole number above 0")
     return int(text)
+
+
+def share(text: str) -> float:
+    """A number from 0 to 1; argparse says what is none."""
+    if not 0 <= (number := float(text)) <= 1:
+        raise ValueError
+    return number
 
 
 def numbers(text: str) -> list[int]:
@@ -165,11 +179,13 @@ def run(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, d
         print(f"{title} made in {time.time() - start:.0f} s", file=sys.stderr, flush=True)
         finished[number] = typed[number]
     report.write_provenance(folder, options.profile, finished)
-    compared, index = report.compare(folder, reference), book.build_book(folder, reference)
-    print("\n".join(report.comparison_lines(compared)))
+    compared = comparison.compare(folder, reference)
+    page = comparison.write_page(compared, folder, reference, folder / "comparison")
+    index = book.build_book(folder, reference)
+    print("\n".join(comparison.comparison_lines(compared)))
     counts = report.verdict_counts(read_json(folder / "claims.json", []))
     print("claims: " + ", ".join(f"{number} {verdict}" for verdict, number in counts.items()))
-    print(f"book: {index}")
+    print(f"comparison: {page}\nbook: {index}")
     left = ", ".join(str(number) for number in chosen if number not in finished)
     return complain(f"not made: chapter {left} (see above)", 1) if left else 0
 
@@ -252,11 +268,17 @@ def look(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, 
 
 
 def compare_command(options: argparse.Namespace) -> int:
-    folder, reference = places(options)
-    for place, mend in ((folder, "run"), (reference, "accept")):
-        require(place.is_dir(), f"{place} is not there; `./reproduce.sh {mend} --profile {options.profile}` makes it")
-    print("\n".join(report.comparison_lines(report.compare(folder, reference))))
-    return 0
+    """Compares two folders; the exit code is 1 if they differ by more than the tolerance or in a verdict."""
+    folders = options.folders or places(options)
+    require(len(folders) == 2, "compare takes two folders, or none for the last run and its reference")
+    for folder, mend in zip(folders, ("run", "accept"), strict=True):
+        hint = "" if options.folders else f"; `./reproduce.sh {mend} --profile {options.profile}` makes it"
+        require(folder.is_dir(), f"{folder} is not there{hint}")
+    found = comparison.compare(*folders, options.tolerance)
+    index = comparison.write_page(found, *folders, options.page or folders[0] / "comparison")
+    print(json.dumps(found, indent=1) if options.json else "\n".join(comparison.comparison_lines(found)))
+    print(f"page: {index}", file=sys.stderr if options.json else sys.stdout)
+    return 0 if found["same"] else 1
 
 
 def accept_command(options: argparse.Namespace) -> int:

@@ -13,7 +13,8 @@ import pytest
 
 from lifelong_lib.reproduction import runs
 from lifelong_lib.reproduction.book import build_book
-from lifelong_lib.reproduction.report import accept, compare
+from lifelong_lib.reproduction.comparison import compare
+from lifelong_lib.reproduction.report import accept
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 

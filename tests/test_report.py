@@ -14,9 +14,10 @@ from docutils import nodes
 
 from lifelong_lib.reproduction import book
 from lifelong_lib.reproduction.claims import ledger
+from lifelong_lib.reproduction.comparison import compare, comparison_lines
 from lifelong_lib.reproduction.files import ReproductionError, read_json, write_json
 from lifelong_lib.reproduction.labels import order
-from lifelong_lib.reproduction.report import accept, compare, comparison_lines, directions, standings
+from lifelong_lib.reproduction.report import accept, directions, standings
 
 
 def results(folder: Path, value: str = "1.0", verdict: str = "holds", pixel: float = 0.0) -> Path:
@@ -27,32 +28,6 @@ def results(folder: Path, value: str = "1.0", verdict: str = "holds", pixel: flo
     write_json(folder / "claims.json", [{"id": "C4.1", "verdict": verdict}])
     write_json(folder / "unit_costs.json", {"ch04/a": 1.0})
     return folder
-
-
-@pytest.mark.parametrize("value, said", [
-    ("1.0", "identical"), ("1.00", "equal within 1e-9"), ("1.0000000001", "equal within 1e-9"),
-    ("1.00000001", "different by at most 1e-08"), ("1.25", "different by at most 0.25"),
-    ("nan", "different by at most inf"), ("one", "other text: 'one' for '1.0'"),
-    ("1.0,3", "other rows or columns"), ("1.0\n3,4", "other rows or columns"),
-])
-def test_data_are_compared_by_value(tmp_path, value, said):
-    found = compare(results(tmp_path / "a", value), results(tmp_path / "b"))
-    assert found["results"] == [{"id": "F4.1", "data": said, "picture": "identical"}]
-    assert read_json(tmp_path / "a" / "comparison.json", None) == found
-
-
-def test_pictures_verdicts_and_missing_results_are_told(tmp_path):
-    ours, theirs = results(tmp_path / "a", verdict="undecided", pixel=1.0), results(tmp_path / "b")
-    (ours / "T4.10.csv").write_text("a\n1\n")
-    (theirs / "T4.9.csv").write_text("a\n1\n")
-    found = compare(ours, theirs)
-    assert found["results"] == [
-        {"id": "F4.1", "data": "identical", "picture": "20 % of its points differ"},
-        {"id": "T4.9", "data": "not made", "picture": ""},
-        {"id": "T4.10", "data": "no reference", "picture": ""}]
-    assert found["verdicts"] == [{"id": "C4.1", "reference": "holds", "latest": "undecided"}]
-    lines = "\n".join(comparison_lines(found))
-    assert lines.startswith("0 of 3") and "holds -> undecided" in lines
 
 
 def test_accepting_keeps_the_chapters_that_were_not_run(tmp_path):

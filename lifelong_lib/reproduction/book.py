@@ -18,7 +18,6 @@ import nbformat
 from docutils import nodes
 from docutils.utils.math import MathError
 from docutils.utils.math.latex2mathml import tex2mathml
-from jinja2 import ChainableUndefined, Environment, FileSystemLoader
 from sphinx.util import logging
 
 from lifelong_lib.reproduction.children import last_words, surroundings
@@ -27,14 +26,13 @@ from lifelong_lib.reproduction.costs import cost_table
 from lifelong_lib.reproduction.files import ROOT, explained, read_json, read_toml, require
 from lifelong_lib.reproduction.fingerprint import SOURCES
 from lifelong_lib.reproduction.grid import read_reports
-from lifelong_lib.reproduction.labels import VERDICTS, order
+from lifelong_lib.reproduction.labels import order
 from lifelong_lib.reproduction.notebooks import made_ids, named_in_calls
 from lifelong_lib.reproduction.report import directions, standings
-from lifelong_lib.reproduction.tables import readable
+from lifelong_lib.reproduction.templates import PAGES, page
 
 DRAWS = re.compile(r"^fig, .*= panels\(", re.MULTILINE)  # such cells, and those of imports only, are folded
 IMPORTS = re.compile(r"((from|import|    |\)).*\n?|\n)*")
-PAGES = Path(__file__).with_name("pages")  # templates, and the look of all pages
 
 CONFIGURATION = """
 project = html_title = "Lifelong reinforcement learning on mobile robots, reproduced"
@@ -65,14 +63,14 @@ def build_book(folder: Path, reference: Path) -> Path:
     made = read_json(folder / "provenance.json", {"chapters": {}})
     recordings = sorted(path.stem for path in (folder / "recordings").glob("*.rrd"))
     introduction, others, findings = _findings()
-    pages = {"claims": _page("claims", claims=claims, standing=standing, places=places),
-             "not_reproduced": _page("not_reproduced", introduction=introduction, others=others,
+    pages = {"claims": page("claims.md", claims=claims, standing=standing, places=places),
+             "not_reproduced": page("not_reproduced.md", introduction=introduction, others=others,
                                      explained=_explained(standing, findings), untested=_with("not tested", standing)),
-             "deviations": (ROOT / "DEVIATIONS.md").read_text(), "recordings": _page("recordings", names=recordings),
-             "costs": _page("costs", rows=cost_table(ROOT / "data" / "results" / "paper")),
-             "provenance": _page("provenance", made=made, text=json.dumps(made, indent=1))}  # fmt: skip
+             "deviations": (ROOT / "DEVIATIONS.md").read_text(), "recordings": page("recordings.md", names=recordings),
+             "costs": page("costs.md", rows=cost_table(ROOT / "data" / "results" / "paper")),
+             "provenance": page("provenance.md", made=made, text=json.dumps(made, indent=1))}  # fmt: skip
     contents = [f"chapters/{path.stem}" for path in copies] + list(pages)
-    pages["index"] = _page("index", profile=folder.name, claims=claims, standing=standing, places=places,
+    pages["index"] = page("index.md", profile=folder.name, claims=claims, standing=standing, places=places,
                            agree=directions(claims, standing), chapters=_chapters(copies, standing), contents=contents,
                            results=_shown(folder, reference, standing, places))  # fmt: skip
     explained = {claim["id"]: (claim, why) for claim, why in _explained(standing, findings)}
@@ -125,7 +123,7 @@ def _chapter_page(path: Path, standing: list[dict], explained: dict) -> nbformat
     claims = [claim for claim in standing if claim["chapter"] == int(path.name[2:4])]
     cells = notebook.cells[:1]
     if claims:
-        cells.append(nbformat.v4.new_markdown_cell(_page("came_of_it", claims=claims), id="came-of-it"))
+        cells.append(nbformat.v4.new_markdown_cell(page("came_of_it.md", claims=claims), id="came-of-it"))
     for cell in notebook.cells[1:]:
         if cell.cell_type == "code" and (DRAWS.search(cell.source) or IMPORTS.fullmatch(cell.source)):
             cell.metadata["tags"] = [*cell.metadata.get("tags", []), "hide-input"]
@@ -135,17 +133,10 @@ def _chapter_page(path: Path, standing: list[dict], explained: dict) -> nbformat
         cells.append(cell)
         for name in names:
             if name in explained:
-                text = _page("finding", claim=explained[name][0], why=explained[name][1])
+                text = page("finding.md", claim=explained[name][0], why=explained[name][1])
                 cells.append(nbformat.v4.new_markdown_cell(text, id=f"finding-{name}".replace(".", "-")))
     notebook.cells = cells
     return notebook
-
-
-def _page(name: str, **more) -> str:
-    """A page from its template in `pages`, which knows what a verdict means."""
-    templates = Environment(loader=FileSystemLoader(PAGES), trim_blocks=True, undefined=ChainableUndefined)
-    templates.filters["readable"] = readable
-    return templates.get_template(f"{name}.md").render(verdicts=VERDICTS, **more)
 
 
 def _with(verdict: str, claims: list[dict]) -> list[dict]:

@@ -1,16 +1,11 @@
-"""A run beside the committed reference: the comparison, what is accepted as the new reference, and the provenance.
+"""What a run leaves for its readers: the provenance, where every claim stands, and what is accepted as the reference.
 
 Everything here is made from files that a run left in `figures/latest/<profile>`. Nothing is measured again.
 """
 
-import csv
-import math
 import platform
 import shutil
-from itertools import chain
 from pathlib import Path
-
-from matplotlib.image import imread
 
 from lifelong_lib.reproduction.claims import ledger, within_bounds
 from lifelong_lib.reproduction.files import ROOT, read_json, require, sha256, write_json
@@ -41,67 +36,6 @@ def write_provenance(folder: Path, profile: str, parameters: dict[int, dict]) ->
     })
     costs = {f"ch{grid.chapter:02d}/{grid.name}": grid.seconds_per_run for grid in grids}
     write_json(folder / "unit_costs.json", costs)
-
-
-def compare(latest: Path, reference: Path) -> dict:
-    """Compares every figure and table with the reference: the data first, then the picture, then the verdicts.
-
-    Returns, and writes to `latest`/comparison.json, {"results": [{id, data, picture}], "verdicts": [{id, reference,
-    latest}] (those that changed)}.
-    """
-    names = sorted({path.stem for folder in (latest, reference) for path in folder.glob("[FT]*.csv")}, key=order)
-    results = [{"id": name, "data": _compare_files(latest, reference, f"{name}.csv", _compare_data),
-                "picture": _compare_files(latest, reference, f"{name}.png", _compare_pictures)} for name in names]
-    now, before = ({row["id"]: row["verdict"] for row in read_json(folder / "claims.json", [])}
-                   for folder in (latest, reference))
-    verdicts = [{"id": name, "reference": before[name], "latest": now[name]}
-                for name in sorted(now.keys() & before.keys(), key=order) if now[name] != before[name]]
-    comparison = {"results": results, "verdicts": verdicts}
-    write_json(latest / "comparison.json", comparison)
-    return comparison
-
-
-def _compare_files(latest: Path, reference: Path, name: str, differ) -> str:
-    """One of: identical, what `differ` says, not made, no reference; empty for a table's missing picture."""
-    ours, theirs = latest / name, reference / name
-    if not theirs.exists():
-        return "no reference" if ours.exists() else ""
-    if not ours.exists():
-        return "not made"
-    return "identical" if ours.read_bytes() == theirs.read_bytes() else differ(ours, theirs)
-
-
-def _compare_data(ours: Path, theirs: Path) -> str:
-    first, second = (list(csv.reader(path.read_text().splitlines())) for path in (ours, theirs))
-    if [len(row) for row in first] != [len(row) for row in second] or first[:1] != second[:1]:
-        return "other rows or columns"
-    worst, equal = 0.0, True
-    pairs = zip(chain.from_iterable(first), chain.from_iterable(second), strict=True)
-    for one, other in [pair for pair in pairs if pair[0] != pair[1]]:
-        try:
-            gap, size = abs(float(one) - float(other)), max(1.0, abs(float(other)))
-        except ValueError:
-            return f"other text: '{one}' for '{other}'"
-        equal = equal and gap <= 1e-9 * size
-        worst = math.inf if math.isnan(gap) else max(worst, gap)
-    return "equal within 1e-9" if equal else f"different by at most {worst:.3g}"
-
-
-def _compare_pictures(ours: Path, theirs: Path) -> str:
-    first, second = imread(ours), imread(theirs)
-    if first.shape != second.shape:
-        return "other size"
-    return f"{100 * (first != second).any(axis=-1).mean():.2g} % of its points differ"
-
-
-def comparison_lines(comparison: dict) -> list[str]:
-    """The comparison as a short table for the terminal; what is identical in data and picture is only counted."""
-    same = [row for row in comparison["results"] if row["data"] == "identical" and row["picture"] in ("identical", "")]
-    lines = [f"{len(same)} of {len(comparison['results'])} figures and tables are identical to the reference"]
-    lines += [f"  {row['id']:6} data: {row['data']}" + (f"; picture: {row['picture']}" if row["picture"] else "")
-              for row in comparison["results"] if row not in same]
-    lines += [f"  {row['id']:6} verdict: {row['reference']} -> {row['latest']}" for row in comparison["verdicts"]]
-    return lines
 
 
 def standings(folder: Path, references: Path) -> list[dict]:
@@ -151,4 +85,6 @@ def accept(latest: Path, reference: Path) -> int:
     write_json(reference / "claims.json", sorted(kept + claims, key=lambda row: order(row["id"])))
     costs = read_json(reference / "unit_costs.json", {}) | read_json(latest / "unit_costs.json", {})
     write_json(reference / "unit_costs.json", costs)
+    about, old = (read_json(folder / "provenance.json", {}) for folder in (latest, reference))
+    write_json(reference / "provenance.json", about | {"chapters": old.get("chapters", {}) | about.get("chapters", {})})
     return len(made)
