@@ -193,6 +193,7 @@ def shot(maml=0.7, sines=0.9, for_all=0.3, random=0.2):
     ({"maml": 0.5}, "contradicted", "contradicted"),
     ({"sines": 0.6}, "contradicted", "contradicted"),
     ({"for_all": 0.69}, "contradicted", "holds"),  # one start serves all robots, so that no step of their own is needed
+    ({"random": 0.69}, "contradicted", "holds"),  # any weights would do
 ])
 def test_c2_3_is_one_step_in_units_of_policy_gradients_gain(tmp_path, given, verdict, control):
     one_step, sine_step = shot(**given)
