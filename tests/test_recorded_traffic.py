@@ -11,6 +11,7 @@ import pytest
 from conftest import REPOSITORY, trial
 from gymnasium.utils.env_checker import check_env
 
+from lifelong_lib.environments import recorded_traffic
 from lifelong_lib.environments.crossing import COLUMN, GO, LENGTH, ROW, SPEED
 from lifelong_lib.environments.pictures import OTHER, OWN
 from lifelong_lib.environments.recorded_traffic import RecordedTraffic, Recording, is_safe, read_recording
@@ -145,17 +146,25 @@ BAD = (  # file, what stands in it, what is written there instead, message
     ("tracks", "7,4,1,", "7,4,1.5,", r"07_tracks.csv, row 3, column frame: '1.5' is not a whole number from 0 on"),
     ("tracks", "7,4,0,", "7,4,-1,", r"07_tracks.csv, row 2, column frame: '-1' is not a whole number from 0 on"),
     ("tracksMeta", "7,4,0,", "7,4,1e99,", r"row 2, column initialFrame: '1e99' is not a whole number from 0 on"),
-    ("tracks", "7,4,1,", "7,4,3,", r"07_tracks.csv, row 3, column frame: '3' is not the frame that is due"),
-    ("tracks", "7,4,2,", "7,4,1,", r"07_tracks.csv, row 4, column frame: '1' is not the frame that is due"),
+    ("tracks", "7,4,1,", "7,4,3,", r"07_tracks.csv, row 4, column frame: '2' does not come after the frame before"),
+    ("tracks", "7,4,2,", "7,4,1,", r"07_tracks.csv, row 4, column frame: '1' does not come after the frame before"),
     ("tracks", "7,5,1,", "7,9,1,", r"07_tracks.csv, row 5, column trackId: '9' is not in 07_tracksMeta.csv"),
     ("tracks", "7,6,3,1,112,191,90,2.5,9.1,3,4\n", "",
-     r"07_tracksMeta.csv, row 4, column numFrames: '2' is not how many rows the track has in 07_tracks.csv"),
+     r"07_tracksMeta.csv, row 4, column finalFrame: '3' is not what the track has in 07_tracks.csv"),
     ("tracksMeta", "7,5,1,1,1", "7,8,1,1,0", r"07_tracks.csv, row 5, column trackId: '5' is not in 07_tracksMeta.csv"),
     ("tracksMeta", "7,6,2,3,2,", "7,6,2,3,2,2.5,9.1,car\n7,8,2,2,0,",
      r"07_tracksMeta.csv, row 5, column numFrames: '0' is not how many rows the track has"),
     ("tracksMeta", "7,6,2,3,2", "7,6,2,4,2",
-     r"07_tracksMeta.csv, row 4, column finalFrame: '4' does not agree with initialFrame and numFrames"),
-    ("tracksMeta", "7,6,2,3,2", "7,6,3,4,2", r"07_tracks.csv, row 6, column frame: '2' is not the frame that is due"),
+     r"07_tracksMeta.csv, row 4, column finalFrame: '4' is not what the track has in 07_tracks.csv"),
+    ("tracksMeta", "7,6,2,3,2", "7,6,3,4,2",
+     r"07_tracksMeta.csv, row 4, column initialFrame: '3' is not what the track has in 07_tracks.csv"),
+    ("tracksMeta", "7,6,2,3,2", "7,6,2,3,5", r"row 4, column numFrames: '5' is not how many rows the track has"),
+    ("tracksMeta", "7,6,2", "7,4,2", r"07_tracks.csv, row 6, column trackId: '6' is not in 07_tracksMeta.csv"),
+    ("tracksMeta", "7,5,1,1,1", "7,4,0,2,3", r"07_tracks.csv, row 5, column trackId: '5' is not in"),
+    ("tracksMeta", ",car", ",motor",
+     r"row 2, column class: 'motor' is no class known here: seen are car, van, .*, and not seen bicycle, pedestrian"),
+    ("tracks", "xCenter,yCenter,heading", "x,y,psi_rad", r"no column xCenter; this looks like INTERACTION's layout"),
+    ("tracks", "heading", "precedingId", r"no column heading; this looks like highD's layout, which has no headings"),
     ("recordingMeta", ",10,", ",0,", r"07_recordingMeta.csv, row 2, column frameRate: '0.0' is not above 0"),
     ("recordingMeta", ",10,", ",-25,", r"07_recordingMeta.csv, row 2, column frameRate: '-25.0' is not above 0"),
     ("recordingMeta", ",0.4,", ",0.01,", r"row 2, column duration: '0.01' is not the time of any number of frames"),
@@ -183,9 +192,53 @@ def test_bad_files_are_one_clear_line(part, old, new, message, read):
 
 def test_binary_files_are_refused_like_others(read, tmp_path):
     read(FILES)
-    (tmp_path / "07_tracks.csv").write_bytes(bytes(range(256)) * 100)
-    with pytest.raises(ValueError, match=r"07_tracks.csv, row \d+: \d+ values for \d+ columns"):
-        read_recording(7, tmp_path)
+    for content in (bytes(range(256)) * 100, b"\x00" * 999, FILES["tracks"].encode() + bytes(range(256))):
+        (tmp_path / "07_tracks.csv").write_bytes(content)
+        with pytest.raises(ValueError, match=r"07_tracks.csv") as caught:
+            read_recording(7, tmp_path)
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("turned", "cause"), [
+    (lambda degrees: np.deg2rad(degrees), "they agree if they are in radians"),
+    (lambda degrees: 90 - degrees, "they agree if they are bearings from north"),
+    (lambda degrees: -degrees, "they agree if its y axis points down"),
+    (lambda degrees: degrees + 180, "they agree if they point backwards"),
+    (lambda degrees: degrees + 70, "one of the two is wrong"),
+])  # fmt: skip
+def test_headings_that_velocities_speak_against_are_refused_with_the_likely_cause(read, turned, cause):
+    header, *rows = (line.split(",") for line in FILES["tracks"].splitlines())
+    for row, (vx, vy) in zip(rows, 3 * [(5, 9)] + [(1, 0)] + 2 * [(-9, 2)], strict=True):
+        row[9:11], row[6] = map(str, (vx, vy)), repr(float(turned(np.rad2deg(np.arctan2(vy, vx)))))
+    with pytest.raises(ValueError, match=f"07_tracks.csv, column heading: headings and velocities are .*; {cause}"):
+        read(FILES | {"tracks": "\n".join(map(",".join, [header, *rows]))})
+    standing = "\n".join(",".join([*row[:9], "0.5", "0.5"]) if row is not header else ",".join(row)
+                         for row in [header, *rows])  # fmt: skip
+    read(FILES | {"tracks": standing})  # who stands shivers
+
+
+def test_real_files_habits_are_passed_over(read):
+    about = FILES["tracksMeta"].replace("trackId", '"TrackID"').replace(",class", ", Class ")
+    about = about.replace("car", '"Car"').replace("truck_bus", "Truck-Bus")
+    tracks = FILES["tracks"].replace("105,209", '"105", 209 ').replace("heading", "Heading") + "\n\n"
+    assert_expected(read(FILES | {"tracksMeta": about + "\n", "tracks": tracks}))
+    quoted = FILES["tracks"].replace("xVelocity", '"note, quoted",xVelocity').replace("9.1,3", '9.1,"a, b",3')
+    quoted = quoted.replace("4.6,0", '4.6,"a, b",0').replace("0.5,1,", '0.5,x,1,')
+    assert_expected(read(FILES | {"tracks": quoted}))
+
+
+def test_frames_missing_inside_a_track_are_filled_evenly(read):
+    row = "7,4,1,1,105,209,270,1.8,4.6,0,-10\n"
+    assert row in FILES["tracks"]
+    assert_expected(read(FILES | {"tracks": FILES["tracks"].replace(row, "")}))
+    fewer = FILES["tracksMeta"].replace("7,4,0,2,3", "7,4,0,2,2")  # some count the rows, others the frames
+    assert_expected(read(FILES | {"tracks": FILES["tracks"].replace(row, ""), "tracksMeta": fewer}))
+
+
+def test_headings_are_filled_the_short_way_round():
+    filled = recorded_traffic._filled(np.array([3, 5]), np.array([[0, 0, 6.2, 4], [2, 4, 0.1, 6]]))
+    assert filled == pytest.approx(np.array([[0, 0, 6.2, 4], [1, 2, (6.2 + 0.1 + 2 * np.pi) / 2, 5],
+                                             [2, 4, 0.1 + 2 * np.pi, 6]]))  # fmt: skip
 
 
 # -------------------------------------------------------------------------------------------------------------- trials

@@ -4,11 +4,16 @@ The files are laid out as the public drone recordings (inD, rounD); data/recordi
 for the thesis's recording, which is not public. Registered as lifelong_lib/RecordedTraffic-v0.
 """
 
+import csv
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
+import pyarrow
+from pyarrow import compute
+from pyarrow.csv import ConvertOptions, ReadOptions, read_csv
 
 from lifelong_lib.environments.crossing import (
     GO,
@@ -25,6 +30,13 @@ from lifelong_lib.environments.crossing import (
 
 FOLDER = Path(__file__).resolve().parents[2] / "data" / "recordings"
 VEHICLES = ("car", "van", "truck", "bus", "truck_bus", "trailer", "motorcycle")  # all that the car sees
+OTHERS = ("bicycle", "pedestrian", "animal")  # which it does not
+LAYOUTS = {  # columns that give another layout away
+    "psi_rad": "; this looks like INTERACTION's layout: track_id, frame_id, x, y, vx, vy, agent_type and psi_rad (in "
+               "degrees) are called trackId, frame, xCenter, yCenter, xVelocity, yVelocity, class and heading here",
+    "precedingId": "; this looks like highD's layout, which has no headings, and motorways without junctions",
+}  # fmt: skip
+MOVING, ASTRAY = 2.0, 20.0  # [m/s], [degrees]: faster cars point where they drive, or are this far off in the median
 WHOLE = ("trackId", "frame", "initialFrame", "finalFrame", "numFrames", "go")  # columns of whole numbers from 0 on
 AHEAD, AREA, SOON = 7.5, 6.0, 5.0  # [m], [m], [s] of the rule `is_safe`
 
@@ -122,48 +134,70 @@ def read_recording(number: int, folder: Path = FOLDER) -> Recording:
     meta.check("duration", (frames > 0) & (frames < 2**31), "is not the time of any number of frames")
     about = Table(about_file, "trackId", "initialFrame", "finalFrame", "numFrames", "class")
     tracks = Table(tracks_file, "trackId", "frame", "xCenter", "yCenter", "heading", "xVelocity", "yVelocity")
-    rows = rows_of_tracks(about, tracks)
     frames = int(max(frames[0], about["finalFrame"].max() + 1))  # the duration may be rounded
-    labels = read_labels(labels_file, frames) if labels_file.exists() else None
     ego = Table(ego_file, "xCenter", "yCenter", "heading", optional=("toMiddle",))
     middle = float(ego["toMiddle"][0]) if "toMiddle" in ego.columns else None
-    poses = seen_from(ego, tracks)
-    vehicles = [mine for mine, kind in zip(rows, about["class"], strict=True) if kind in VEHICLES]
-    kept = np.concatenate([np.empty(0, int), *vehicles])
-    kept = kept[np.argsort(tracks["frame"][kept], kind="stable")]
-    cars = np.split(poses[kept], np.searchsorted(tracks["frame"][kept], np.arange(1, frames)))
+    poses = whole_tracks(about, tracks, seen_from(ego, tracks))
+    labels = read_labels(labels_file, frames) if labels_file.exists() else None
+    kinds = np.char.replace(np.char.lower(about["class"]), "-", "_")
+    about.check("class", np.isin(kinds, VEHICLES + OTHERS),
+                f"is no class known here: seen are {', '.join(VEHICLES)}, and not seen {', '.join(OTHERS)}")
+    require_agreeing_headings(tracks)
+    vehicles = np.flatnonzero(np.isin(kinds, VEHICLES))
+    seen = [poses[vehicle] for vehicle in vehicles]
+    times = [about["initialFrame"][vehicle] + np.arange(len(poses[vehicle])) for vehicle in vehicles]
+    times, together = (np.concatenate([empty, *parts]) for empty, parts in
+                       ((np.empty(0, int), times), (np.empty((0, 4)), seen)))  # fmt: skip
+    order = np.argsort(times, kind="stable")
+    cars = np.split(together[order], np.searchsorted(times[order], np.arange(1, frames)))
     labels = np.array([is_safe(frame) for frame in cars]) if labels is None else labels
-    return Recording(float(meta["frameRate"][0]), cars, labels, [poses[mine, :2] for mine in vehicles], middle)
+    return Recording(float(meta["frameRate"][0]), cars, labels, [track[:, :2] for track in seen], middle)
 
 
 class Table:
     """Columns of a CSV file with a header, which may have others: ``class`` is text, all else finite numbers.
 
-    The ``optional`` ones may be missing.
+    Names count whatever their case, cells may be quoted, lines may be blank. The ``optional`` columns may be missing.
     """
 
     def __init__(self, file: Path, *columns: str, optional: tuple = ()):
         if not file.is_file():
             raise ValueError(f"{file} is missing")
-        lines = file.read_text("utf-8-sig", errors="replace").splitlines()
-        if len(lines) < 2:
+        with open(file, encoding="utf-8-sig", errors="replace", newline="") as lines:
+            header = next(csv.reader(lines), None)
+        if header is None:
             raise ValueError(f"{file} has no rows")
+        places = {name.strip().lower(): place for place, name in enumerate(header)}
+        wanted = [*columns, *(name for name in optional if name.lower() in places)]
         self.file, self.columns = file, {}
-        header, *rows = [line.split(",") for line in lines]
-        for row, words in enumerate(rows, 2):
-            if len(words) != len(header):
-                raise ValueError(f"{file}, row {row}: {len(words)} values for {len(header)} columns")
-        cells = np.genfromtxt(lines[1:], delimiter=",", comments=None, ndmin=2)  # nan where there is no number
-        for column in (*columns, *(name for name in optional if name in header)):
-            if column not in header:
-                raise ValueError(f"{file}, row 1: there is no column {column}")
-            place = header.index(column)
-            self.columns[column] = np.array([row[place].strip() for row in rows])
-            if column != "class":
-                values, whole = cells[:, place], column in WHOLE
-                right = (values == np.abs(np.rint(values))) & (values < 2**31) if whole else np.isfinite(values)
-                self.check(column, right, f"is not a {'whole number from 0 on' if whole else 'finite number'}")
-                self.columns[column] = values.astype(int if whole else float)
+        for column in wanted:
+            if column.lower() not in places:
+                known = "".join(hint for name, hint in LAYOUTS.items() if name.lower() in places)
+                raise ValueError(f"{file}, row 1: there is no column {column}{known}")
+        names = [str(place) for place in range(len(header))]
+        reading = ReadOptions(column_names=names, skip_rows=1, encoding="latin-1", use_threads=False)
+        texts = ConvertOptions(column_types=dict.fromkeys(names, pyarrow.string()))
+        try:
+            cells = read_csv(file, reading, convert_options=texts)
+        except pyarrow.ArrowInvalid as error:
+            raise ValueError(f"{file}{_told(error)}") from error
+        if not len(cells):
+            raise ValueError(f"{file} has no rows")
+        for column in wanted:
+            texts = compute.utf8_trim_whitespace(cells[places[column.lower()]])
+            self.columns[column] = np.array(texts.to_pylist()) if column == "class" else self._numbers(column, texts)
+
+    def _numbers(self, column: str, texts: pyarrow.ChunkedArray) -> np.ndarray:
+        """What the cells of a column are; nan where there is no number, which is refused at once."""
+        try:
+            values = compute.cast(texts, pyarrow.float64()).to_numpy()
+        except pyarrow.ArrowInvalid:
+            values = np.array([float(text) if _is_number(text) else np.nan for text in texts.to_pylist()])
+        whole = column in WHOLE
+        right = (values == np.abs(np.rint(values))) & (values < 2**31) if whole else np.isfinite(values)
+        self.columns[column] = texts
+        self.check(column, right, f"is not a {'whole number from 0 on' if whole else 'finite number'}")
+        return values.astype(int if whole else float)
 
     def __getitem__(self, column: str) -> np.ndarray:
         return self.columns[column]
@@ -171,23 +205,67 @@ class Table:
     def check(self, column: str, right: np.ndarray, problem: str) -> None:
         """Raise ValueError for the first row of ``column`` that is not ``right`` (rows,)."""
         if not right.all():
-            row = np.argmin(right)
+            row = int(np.argmin(right))
             raise ValueError(f"{self.file}, row {row + 2}, column {column}: '{self[column][row]}' {problem}")
 
 
-def rows_of_tracks(about: Table, tracks: Table) -> list[np.ndarray]:
-    """Return the rows (n,) of each track, whose frames must follow one another and be those of its meta data."""
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _told(error: pyarrow.ArrowInvalid) -> str:
+    """Arrow's complaint of a row with other columns, in our words."""
+    found = re.search(r"Row #(\d+): Expected (\d+) columns, got (\d+)", str(error))
+    return ", row {0}: {2} values for {1} columns".format(*found.groups()) if found else f": {error}".split("\n")[0]
+
+
+def whole_tracks(about: Table, tracks: Table, poses: np.ndarray) -> list[np.ndarray]:
+    """Return each track's poses (n, 4) from its first frame to its last; where frames are missing it drove on evenly.
+
+    ``poses`` (rows, 4) are those of `seen_from`. Frames must follow one another and agree with the meta data.
+    """
     tracks.check("trackId", np.isin(tracks["trackId"], about["trackId"]), f"is not in {about.file.name}")
-    rows = [np.flatnonzero(tracks["trackId"] == track) for track in about["trackId"]]
-    counts, due = np.array([len(mine) for mine in rows]), np.empty(len(tracks["frame"]), int)
-    right = (about["numFrames"] == counts) & (counts > 0)
+    _, places = np.unique(about["trackId"], return_index=True)
+    about.check("trackId", np.isin(np.arange(len(about["trackId"])), places), "stands there twice")
+    order = np.argsort(tracks["trackId"], kind="stable")
+    ids, frames, poses = tracks["trackId"][order], tracks["frame"][order], poses[order]
+    right = np.ones(len(ids), bool)
+    right[order[1:]] = (ids[1:] != ids[:-1]) | (frames[1:] > frames[:-1])
+    tracks.check("frame", right, "does not come after the frame before it in its track")
+    begin, end = (np.searchsorted(ids, about["trackId"], side) for side in ("left", "right"))
+    span = about["finalFrame"] - about["initialFrame"] + 1
+    right = (end > begin) & ((about["numFrames"] == end - begin) | (about["numFrames"] == span))
     about.check("numFrames", right, f"is not how many rows the track has in {tracks.file.name}")
-    right = about["finalFrame"] == about["initialFrame"] + counts - 1
-    about.check("finalFrame", right, "does not agree with initialFrame and numFrames")
-    for first, mine in zip(about["initialFrame"], rows, strict=True):
-        due[mine] = first + np.arange(len(mine))
-    tracks.check("frame", tracks["frame"] == due, "is not the frame that is due in its track")
-    return rows
+    for column, rows in (("initialFrame", begin), ("finalFrame", end - 1)):
+        about.check(column, about[column] == frames[rows], f"is not what the track has in {tracks.file.name}")
+    return [_filled(frames[rows], poses[rows]) for rows in map(slice, begin, end)]
+
+
+def _filled(frames: np.ndarray, poses: np.ndarray) -> np.ndarray:
+    if frames[-1] - frames[0] + 1 == len(frames):
+        return poses
+    poses = np.column_stack([poses[:, :2], np.unwrap(poses[:, 2]), poses[:, 3]])
+    return np.column_stack([np.interp(np.arange(frames[0], frames[-1] + 1), frames, part) for part in poses.T])
+
+
+def require_agreeing_headings(tracks: Table) -> None:
+    """Raise ValueError, with the likely cause, unless those that move point where their velocities do."""
+    moving = np.hypot(tracks["xVelocity"], tracks["yVelocity"]) > MOVING
+    direction = np.rad2deg(np.arctan2(tracks["yVelocity"], tracks["xVelocity"]))[moving]
+    heading = tracks["heading"][moving]
+    causes = {"": heading, "they are in radians": np.rad2deg(heading), "its y axis points down": -heading,
+              "they are bearings from north": 90 - heading, "they point backwards": heading + 180}  # fmt: skip
+    apart = {cause: np.median(np.abs((each - direction + 180) % 360 - 180)) if moving.any() else 0.0
+             for cause, each in causes.items()}  # fmt: skip
+    cause = min(apart, key=apart.get)
+    if apart[""] > ASTRAY:
+        advice = f"they agree if {cause}" if apart[cause] < ASTRAY else "one of the two is wrong"
+        raise ValueError(f"{tracks.file}, column heading: headings and velocities are {apart['']:.0f} degrees apart in "
+                         f"the median; {advice}")  # fmt: skip
 
 
 def read_labels(file: Path, frames: int) -> np.ndarray:
