@@ -17,7 +17,7 @@ from lifelong_lib.reproduction.claims import ledger
 from lifelong_lib.reproduction.comparison import compare, comparison_lines
 from lifelong_lib.reproduction.files import ReproductionError, read_json, write_json
 from lifelong_lib.reproduction.labels import order
-from lifelong_lib.reproduction.report import accept, directions, standings
+from lifelong_lib.reproduction.report import accept, directions, reading, standings
 
 
 def results(folder: Path, value: str = "1.0", verdict: str = "holds", pixel: float = 0.0) -> Path:
@@ -84,6 +84,31 @@ def test_a_chapter_shows_results_first_folds_drawing_and_explains_below_a_verdic
     assert page.cells[1].source.count("a \\| b") == 1, "another chapter's claims stand elsewhere"
     assert ["hide-input" in cell.metadata.get("tags", []) for cell in page.cells[2:5]] == [True, True, False]
     assert "Because." in page.cells[-1].source and "why?" in page.cells[-1].source
+
+
+@pytest.mark.parametrize("rows, said", [
+    ("one,A,0,1\none,A,5,2.5\none,B,0,9\none,B,5,-3\ntwo,A,7,0\n", "one: highest A (2.5), lowest B (-3)"),
+    (",A,0,1\n,A,3,2\n,B,3,1\n", "highest A (2), lowest B (1)"),
+    (",A,SM,1\n,B,SM,2\n,A,CP,3\n,B,CP,1\n", "SM: highest B (2), lowest A (1); CP: highest A (3), lowest B (1)"),
+    (",A,SM,1\n,A,CP,3\n,A,BK,2\n", "highest CP (3), lowest SM (1)"),  # bars of one series
+    ("x,A,,1\nx,B,,2\n", "x: highest B (2), lowest A (1)"),
+])  # fmt: skip
+def test_a_figure_is_read_where_its_curves_end(tmp_path, rows, said):
+    (tmp_path / "F4.1.csv").write_text("panel,series,x,mean\n" + rows)
+    assert reading(tmp_path / "F4.1.csv") == said
+
+
+def test_below_a_figure_stands_what_it_shows(tmp_path):
+    cells = ["# A", 'save_figure(chapter, "F4.1", fig)']
+    notebook = write_notebook(tmp_path / "notebooks" / "ch04_some.ipynb", cells, None)
+    (tmp_path / "F4.1.csv").write_text("panel,series,x,mean\n<a>,A,3,2\n<a>,B,3,1\n")
+    page = book._chapter_page(notebook, [], {})
+    assert "where curves end: &lt;a&gt;: highest A (2), lowest B (1).</p>" in page.cells[-1].source
+
+
+def test_pictures_are_not_read(tmp_path):
+    (tmp_path / "F4.1.csv").write_text("panel,row,column,value\n,0,0,1\n")
+    assert reading(tmp_path / "F4.1.csv") == ""
 
 
 def test_the_old_book_stays_until_the_new_one_is_whole(tmp_path, monkeypatch):

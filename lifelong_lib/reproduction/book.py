@@ -28,7 +28,7 @@ from lifelong_lib.reproduction.fingerprint import SOURCES
 from lifelong_lib.reproduction.grid import read_reports
 from lifelong_lib.reproduction.labels import order
 from lifelong_lib.reproduction.notebooks import made_ids, named_in_calls
-from lifelong_lib.reproduction.report import directions, standings
+from lifelong_lib.reproduction.report import directions, reading, standings
 from lifelong_lib.reproduction.templates import PAGES, page
 
 DRAWS = re.compile(r"^fig, .*= panels\(", re.MULTILINE)  # such cells, and those of imports only, are folded
@@ -115,7 +115,8 @@ def replace_folder(folder: Path, new: Path) -> None:
 
 
 def _chapter_page(path: Path, standing: list[dict], explained: dict) -> nbformat.NotebookNode:
-    """The executed copy as a page: results after the opening, drawing folded, findings below verdicts, places to link.
+    """The executed copy as a page: results after the opening, drawing folded, places to link, and below each figure a
+    sentence that reads it, below a verdict its finding.
 
     A place to link to stands before every cell that makes a result.
     """
@@ -132,6 +133,10 @@ def _chapter_page(path: Path, standing: list[dict], explained: dict) -> nbformat
         cells += [nbformat.v4.new_markdown_cell(anchors, id=f"at-{cell.id}"[:64])] if anchors else []
         cells.append(cell)
         for name in names:
+            data = path.parents[1] / f"{name}.csv"
+            if name.startswith("F") and data.exists() and (said := reading(data)):
+                text = f'<p class="same">In numbers, where curves end: {html.escape(said)}.</p>'
+                cells.append(nbformat.v4.new_markdown_cell(text, id=f"reading-{name}".replace(".", "-")))
             if name in explained:
                 text = page("finding.md", claim=explained[name][0], why=explained[name][1])
                 cells.append(nbformat.v4.new_markdown_cell(text, id=f"finding-{name}".replace(".", "-")))

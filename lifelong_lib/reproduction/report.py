@@ -3,7 +3,9 @@
 Everything here is made from files that a run left in `figures/latest/<profile>`. Nothing is measured again.
 """
 
+import csv
 import platform
+import re
 import shutil
 from pathlib import Path
 
@@ -62,6 +64,33 @@ def directions(claims: list[dict], standing: list[dict]) -> dict[bool, list[str]
         if small and row["verdict"] in ("holds", "contradicted") and small["profile"] != row["profile"]:
             found[within_bounds(small) == (row["verdict"] == "holds")].append(row["id"])
     return found
+
+
+def reading(file: Path) -> str:
+    """Return a sentence that reads a figure's data: what is highest and what is lowest in each panel, where lines end.
+
+    Bars are compared label by label, or with each other if there is one series. Empty for pictures and maps.
+    """
+    with open(file, newline="") as lines:
+        rows = list(csv.DictReader(lines))
+    if "series" not in rows[0]:
+        return ""
+    ends = {}
+    for row in rows:  # the last row of each series stays, where x is a number
+        place = row["x"] if re.search("[a-z]", row["x"], re.IGNORECASE) else ""
+        ends.setdefault((row["panel"], place), {})[row["series"]] = row
+    if all(len(group) == 1 for group in ends.values()):
+        groups = {}
+        for (panel, place), group in ends.items():
+            groups.setdefault(panel, {}).update({place or name: row for name, row in group.items()})
+        ends = {(panel, ""): group for panel, group in groups.items()}
+    return "; ".join(_extremes(*where, group) for where, group in ends.items() if len(group) > 1).removeprefix(": ")
+
+
+def _extremes(panel: str, place: str, group: dict[str, dict]) -> str:
+    ordered = sorted(group, key=lambda name: -float(group[name]["mean"]))
+    high, low = (f"{name} ({float(group[name]['mean']):.3g})" for name in (ordered[0], ordered[-1]))
+    return "".join(f"{part}, " for part in (panel, place) if part)[:-2] + f": highest {high}, lowest {low}"
 
 
 def verdict_counts(claims: list[dict]) -> dict[str, int]:
