@@ -36,8 +36,10 @@ def networks():
 
 def check_gradient(network, inputs, targets):
     model = torch_twin(network)
-    values = model(inputs)
-    ((values - targets) ** 2).sum().backward()
+    # With oneDNN, torch 2.13.0 writes beyond its memory on the way back through filters of one cell with a stride.
+    with torch.backends.mkldnn.flags(enabled=False):
+        values = model(inputs)
+        ((values - targets) ** 2).sum().backward()
     passed = network.forward(inputs)
     assert torch.allclose(passed[-1][1], values, atol=1e-5)
     network.backward(passed, 2 * (passed[-1][1] - targets))
