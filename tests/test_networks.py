@@ -12,6 +12,7 @@ from lifelong_lib.learners.networks import Convolution, Dense, Network, RMSProp
 from lifelong_lib.learners.q_learning import q_network
 
 IMAGE = (18, 26, 3)
+pytestmark = pytest.mark.filterwarnings("ignore:TF32 acceleration")  # of GPUs; switching oneDNN off tells of it
 
 
 def gradients_in_our_order(model, network):
