@@ -26,7 +26,8 @@ seeds = 0           # 0: the profile's own
 workers = 1
 output_dir = ""
 scale = 1.0         # slope [1/s]
-tasks = [1, 2]      # numbers of tasks
+tasks = [1, 2]  # numbers of tasks, any number of them
+limits = [0.0, 1.0]  # lowest and highest
 broken = False      # whether the last cell fails"""
 SET_UP = """from lifelong_lib.reproduction.claims import check_claim
 from lifelong_lib.reproduction.figures import draw_curves, panels, save_figure

@@ -25,7 +25,7 @@ def notebook(tmp_path):
 
 def test_parameters_have_their_values_in_order(notebook):
     found = read_parameters(notebook)
-    assert list(found) == ["profile", "seeds", "workers", "output_dir", "scale", "tasks", "broken"]
+    assert list(found) == ["profile", "seeds", "workers", "output_dir", "scale", "tasks", "limits", "broken"]
     assert found["scale"] == 1.0 and found["tasks"] == [1, 2]
 
 
@@ -79,6 +79,7 @@ def test_values_take_the_type_of_the_default(notebook, name, text, value):
     ("seeds", "1.5", "wants a whole number, not '1.5'"), ("seeds", "many", "wants a whole number"),
     ("seeds", True, "wants a whole number"), ("scale", "fast", "wants a number"),
     ("broken", "1", "wants true or false"), ("tasks", "3,x", "wants a list"), ("tasks", "[1.5]", "wants a list"),
+    ("limits", "[3.0]", "wants 2 entries, as in [0.0, 1.0], not 1"),
     ("tasks", "[]", "wants a list with entries, not '[]'"), ("tasks", "", "wants a list with entries"),
     ("profile", 3, "wants a text"), ("sclae", "1", "did you mean 'scale'?"),
     ("zzz", "1", "it has profile, seeds"), ("scale", "{[1]: 2}", "wants a number"),

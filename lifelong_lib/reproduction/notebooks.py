@@ -58,11 +58,9 @@ def read_parameters(path: Path) -> dict[str, object]:
     Raises ReproductionError when there is no such cell, more than one, or anything in it but `name = literal`:
     papermill sets new values *after* the cell, so whatever it computed from a default would keep the default.
     """
-    cells = [cell for cell in read_notebook(path).cells if "parameters" in cell.metadata.get("tags", [])]
-    require(len(cells) == 1, f"{path.name} has {len(cells)} cells tagged 'parameters'; it needs exactly one")
     parameters, text = {}, ""
     try:
-        for statement in ast.parse(cells[0].source, "its text").body:
+        for statement in ast.parse(_parameters_cell(path), "its text").body:
             text = f"`{ast.unparse(statement)}`"
             (target,) = statement.targets
             parameters[target.id] = ast.literal_eval(statement.value)
@@ -72,21 +70,33 @@ def read_parameters(path: Path) -> dict[str, object]:
     return parameters
 
 
+def _parameters_cell(path: Path) -> str:
+    cells = [cell for cell in read_notebook(path).cells if "parameters" in cell.metadata.get("tags", [])]
+    require(len(cells) == 1, f"{path.name} has {len(cells)} cells tagged 'parameters'; it needs exactly one")
+    return cells[0].source
+
+
 def typed_parameters(path: Path, given: dict[str, object]) -> dict[str, object]:
     """All parameters of the notebook: its defaults, and `given` (values, or texts from a command line) converted.
 
-    Unknown names (with the nearest known one) and values of another type than the default raise ReproductionError.
+    Unknown names (with the nearest known one) and values of another type than the default raise ReproductionError, and
+    so do lists of another length, unless their comment says "any number".
     """
     typed = read_parameters(path)
+    free = re.findall(r"(?m)^(\w+) = \[.*\]  # .*\bany number\b", _parameters_cell(path))
     for name, value in given.items():
         near = difflib.get_close_matches(name, typed, n=1)
         hint = f"did you mean '{near[0]}'?" if near else f"it has {', '.join(typed)}"
         require(name in typed, f"{path.name} has no parameter '{name}'; {hint}")
+        default = typed[name]
         try:
-            typed[name] = _convert(value, typed[name])
+            typed[name] = _convert(value, default)
         except (ValueError, SyntaxError, TypeError) as error:
             wanted = KINDS.get(type(typed[name]), "a literal")
             raise ReproductionError(f"parameter '{name}' of {path.name} wants {wanted}, not '{value}'") from error
+        if isinstance(default, list) and name not in free:
+            require(len(typed[name]) == len(default), f"parameter '{name}' of {path.name} wants {len(default)} entries, "
+                    f"as in {default}, not {len(typed[name])}")  # fmt: skip
     return typed
 
 
