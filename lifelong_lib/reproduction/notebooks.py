@@ -95,8 +95,9 @@ def typed_parameters(path: Path, given: dict[str, object]) -> dict[str, object]:
             wanted = KINDS.get(type(typed[name]), "a literal")
             raise ReproductionError(f"parameter '{name}' of {path.name} wants {wanted}, not '{value}'") from error
         if isinstance(default, list) and name not in free:
-            require(len(typed[name]) == len(default), f"parameter '{name}' of {path.name} wants {len(default)} entries, "
-                    f"as in {default}, not {len(typed[name])}")  # fmt: skip
+            due, found = len(default), len(typed[name])
+            message = f"parameter '{name}' of {path.name} wants {due} entries, as in {default}, not {found}"
+            require(found == due, message)
     return typed
 
 
