@@ -115,14 +115,19 @@ class DenseDictionary(Dictionary):
         self.basis = (inverse @ self.b.ravel() / n_tasks).reshape(self.b.shape).T
 
 
+class DenseELLA(ELLA):
+    """ELLA with a dictionary of the dense kind."""
+
+    def _first(self, targets, weights):
+        return [DenseDictionary(D, self.n_components, self.ridge, "full", np.random.default_rng(0))]
+
+
 def dense_inverse(hessians: str, limit: float, tasks: int = 40, columns: int = 10, repetitions: int = 30):
     """Whole updates of a task met again (code it, exchange its part of A and b, solve), with either dictionary."""
     known, full = solutions(tasks, columns), hessians == "full"
     if not full:
         known = [(alpha, np.diag(gamma).mean() * np.eye(D)) for alpha, gamma in known]
-    fast, dense = ELLA(columns, SPARSITY, RIDGE, hessian=full), ELLA(columns, SPARSITY, RIDGE)
-    dense.codes_, dense._parts = {}, {}  # no task yet, like the other, but a dictionary of the dense kind
-    dense.dictionaries_ = [DenseDictionary(D, columns, RIDGE, "full", np.random.default_rng(0))]
+    fast, dense = ELLA(columns, SPARSITY, RIDGE, hessian=full), DenseELLA(columns, SPARSITY, RIDGE)
     for task, solution in enumerate(known):
         fast.partial_fit(task, *solution)
         dense.partial_fit(task, *solution)
