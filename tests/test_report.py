@@ -72,6 +72,7 @@ def test_the_book_needs_no_network_and_shows_the_results(project):
     assert all(f'<a id="{name}"></a>' in chapter for name in ("F4.1", "T4.1", "C4.1"))
     assert "<math" in chapter and "(4.1)" in chapter and "MathJax" not in chapter
     assert "The slope is above 2." in (pages / "claims.html").read_text()
+    assert all(theirs not in chapter + front and ours in chapter + front for theirs, ours in book.REACHABLE.items())
 
 
 def test_a_chapter_shows_results_first_folds_drawing_and_explains_below_a_verdict(tmp_path):

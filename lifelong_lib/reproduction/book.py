@@ -34,6 +34,14 @@ from lifelong_lib.reproduction.templates import PAGES, page
 DRAWS = re.compile(r"^fig, .*= panels\(", re.MULTILINE)  # such cells, and those of imports only, are folded
 IMPORTS = re.compile(r"((from|import|    |\)).*\n?|\n)*")
 
+REACHABLE = {  # for keyboards and screen readers: what the theme leaves out
+    '<div class="output text_html">': '<div class="output text_html" tabindex="0">',
+    '<div class="pst-scrollable-table-container">': '<div class="pst-scrollable-table-container" tabindex="0">',
+    '<summary aria-label="Toggle hidden content">': "<summary>",
+    'search-button-field search-button__button pst-js-only" title="Search" aria-label="Search"':
+        'search-button-field search-button__button pst-js-only" title="Search"',
+}
+
 CONFIGURATION = """
 project = html_title = "Lifelong reinforcement learning on mobile robots, reproduced"
 author = "The lifelong reproduction authors"
@@ -93,6 +101,11 @@ def build_book(folder: Path, reference: Path) -> Path:
         done = subprocess.run(command, cwd=SOURCES, env=surroundings(), capture_output=True, text=True)
         require(done.returncode == 0, f"the book could not be built: {last_words(done.stderr)}")
         sys.stderr.write(done.stderr.replace(f"{source}/", ""))
+        for written in out.rglob("*.html"):
+            text = written.read_text()
+            for theirs, ours in REACHABLE.items():
+                text = text.replace(theirs, ours)
+            written.write_text(text)
         replace_folder(folder / "book", out)
     return folder / "book" / "index.html"
 
