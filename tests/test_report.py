@@ -156,10 +156,33 @@ def test_findings_stand_beside_the_claims_that_do_not_hold(tmp_path, monkeypatch
     (tmp_path / "data" / "thesis").mkdir(parents=True)
     (tmp_path / "data" / "thesis" / "findings.md").write_text("# Findings\n## C4.1, C4.3\nBecause.\n## C4.2\nNo.\n")
     monkeypatch.setattr(book, "ROOT", tmp_path)
-    rows = [{"id": f"C4.{n}", "verdict": verdict}
+    rows = [{"id": f"C4.{n}", "verdict": verdict, "parts": []}
             for n, verdict in enumerate(("contradicted", "holds", "undecided", "not tested"), 1)]
     found = {claim["id"]: why for claim, why in book._explained(rows, book._findings()[2])}
     assert found == {"C4.1": ["Because.\n"], "C4.3": ["Because.\n"]}
+
+
+def test_numbers_of_findings_come_from_the_ledger():
+    part = {"label": "gain, zero-shot", "measured": 0.123456, "interval": [0.1, 0.15]}
+    text = "A gain of {C4.5: gain, zero-shot} ({C4.5: gain, zero-shot, interval}), {as} it is."
+    row = {"id": "C4.5", "verdict": "holds", "parts": [part]}
+    assert book.with_numbers(text, [row]) == "A gain of 0.123 (0.1 to 0.15), {as} it is."
+    with pytest.raises(ReproductionError, match=r"there is no number \{C4.6: gain\} in the ledger"):
+        book.with_numbers("{C4.6: gain}", [])
+
+
+def test_no_number_of_the_ledger_is_typed_into_a_finding():
+    """A number with three digits or more that rounds one of its claim's, whose interval then stands there as well."""
+    standing = {row["id"]: row for row in read_json(book.ROOT / "figures" / "reference" / "paper" / "claims.json", [])}
+    typed = []
+    for title, text in book._findings()[2].items():
+        parts = [part for name in re.findall(r"C\d+\.\d+", title) for part in standing.get(name, {}).get("parts", [])]
+        known = [number for part in parts for number in (part["measured"], *(part["interval"] or ()))]
+        for word in re.findall(r"(?<![\w.])-?\d*\.\d+", re.sub(r"\{C.*?\}", "", text)):
+            digits = len(word.partition(".")[2])
+            if len(word.strip("-0.")) >= 3 and any(f"{number:.{digits}f}" == word for number in known):
+                typed.append((title, word))
+    assert not typed
 
 
 def test_every_claim_that_does_not_hold_at_the_largest_scale_is_explained():

@@ -204,9 +204,23 @@ def _findings() -> tuple[str, list, dict[str, str]]:
     return re.sub(r"^# .*", "", introduction, flags=re.MULTILINE), others, findings
 
 
+def with_numbers(text: str, standing: list[dict]) -> str:
+    """Fill in `{C4.5: label of a part}` with what was measured, `{C4.5: label, interval}` with its interval."""
+    parts = {f"{row['id']}: {part['label']}": part for row in standing
+             if row["verdict"] != "not tested" for part in row["parts"]}  # fmt: skip
+
+    def filled(found: re.Match) -> str:
+        words = " ".join(found.group(1).split())
+        name, interval = words.removesuffix(", interval"), words.endswith(", interval")
+        require(name in parts, f"findings.md: there is no number {{{name}}} in the ledger")
+        return "{:.3g} to {:.3g}".format(*parts[name]["interval"]) if interval else f"{parts[name]['measured']:.3g}"
+    return re.sub(r"\{(C\d+\.\d+: [^}]+)\}", filled, text)
+
+
 def _explained(standing: list[dict], findings: dict[str, str]) -> list[tuple[dict, list[str]]]:
     """The claims that are contradicted or undecided, each with the findings that are headed by its id."""
-    return [(claim, [text for title, text in findings.items() if claim["id"] in re.findall(r"C\d+\.\d+", title)])
+    return [(claim, [with_numbers(text, standing) for title, text in findings.items()
+                     if claim["id"] in re.findall(r"C\d+\.\d+", title)])
             for claim in _with("contradicted", standing) + _with("undecided", standing)]  # fmt: skip
 
 
