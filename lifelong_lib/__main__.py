@@ -6,6 +6,7 @@ differs, a promised speed is missed); 2 the command or its input is wrong; 130 i
 
 import argparse
 import json
+import math
 import os
 import subprocess
 import sys
@@ -19,7 +20,7 @@ try:
     from lifelong_lib.reproduction.children import surroundings
     from lifelong_lib.reproduction.files import ROOT, ReproductionError, alone, read_json, require
     from lifelong_lib.reproduction.grid import read_reports
-    from lifelong_lib.reproduction.machine import processor
+    from lifelong_lib.reproduction.machine import processor, unit_costs
     from lifelong_lib.reproduction.runs import PROFILES
 except ModuleNotFoundError as missing:
     print(f"error: the package {missing.name} is missing in {sys.executable}; run ./reproduce.sh", file=sys.stderr)
@@ -163,7 +164,7 @@ def run(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, d
     from lifelong_lib.reproduction import book  # here because Sphinx is slow to import
 
     folder, reference = places(options)
-    finished = {}
+    finished, took = {}, {}
     for place, (number, path) in enumerate(chosen.items(), 1):
         start, title = time.time(), f"[{place}/{len(chosen)}] chapter {number}"
         print(f"{title}, {options.profile}: {path.name}", file=sys.stderr, flush=True)
@@ -176,9 +177,9 @@ def run(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, d
         except ReproductionError as error:
             complain(str(error), 1)
             continue
-        print(f"{title} made in {time.time() - start:.0f} s", file=sys.stderr, flush=True)
-        finished[number] = typed[number]
-    report.write_provenance(folder, options.profile, finished)
+        finished[number], took[number] = typed[number], time.time() - start
+        print(f"{title} made in {took[number]:.0f} s", file=sys.stderr, flush=True)
+    report.write_provenance(folder, options.profile, finished, took)
     compared = comparison.compare(folder, reference)
     page = comparison.write_page(compared, folder, reference, folder / "comparison")
     index = book.build_book(folder, reference)
@@ -206,13 +207,26 @@ def plan(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, 
             print(f"    {count} stamped: made by other code, but {stamp}")
         for cause, count in grid.causes.items():
             print(f"    {count} stale because {cause}")
-    for number, name in unseen:
-        print(f"chapter {number}  {name:28} depends on runs that are missing; minutes unknown")
+    costs = unit_costs(places(options)[1])
+    guessed = sum(guess(number, name, costs, typed[number]["workers"]) for number, name in unseen)
     if options.why and not grids + unseen:
         print(f"{options.why} rests on no stored runs: its notebook computes it every time")
     known = sum(grid.seconds or 0 for grid in grids)
-    print(f"about {known / 60:.1f} min to compute, as far as it is known; stored results take the time of drawing only")
+    if options.why:
+        print(f"about {known / 60:.1f} min to compute, as far as it is known")
+    else:
+        known, drawing = known + guessed, sum(costs.get(f"ch{number:02d}", 0) for number in chosen)
+        print(f"about {known / 60:.1f} min to compute and {drawing / 60:.1f} min to draw, as far as it is known")
     return 0
+
+
+def guess(number: int, name: str, costs: dict, workers: int) -> float:
+    """Prints and returns the seconds of a grid whose runs are not known yet, as many as the reference has."""
+    each, runs = costs.get(f"ch{number:02d}/{name}", (0.0, 0))
+    seconds = each * math.ceil(runs / workers)
+    minutes = f"{seconds / 60:6.1f} min for the reference's {runs} runs" if runs else "minutes unknown"
+    print(f"chapter {number}  {name:28} depends on runs that are missing; {minutes}")
+    return seconds
 
 
 def audit_runs(options: argparse.Namespace, chosen: dict[int, Path], typed: dict[int, dict]) -> int:

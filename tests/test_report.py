@@ -26,7 +26,7 @@ def results(folder: Path, value: str = "1.0", verdict: str = "holds", pixel: flo
     (folder / "F4.1.csv").write_text(f"x,y\n1,{value}\n2,5.0\n")
     plt.imsave(folder / "F4.1.png", np.full((4, 5), pixel) * np.eye(4, 5), vmin=0, vmax=1)
     write_json(folder / "claims.json", [{"id": "C4.1", "verdict": verdict}])
-    write_json(folder / "unit_costs.json", {"ch04/a": 1.0})
+    write_json(folder / "unit_costs.json", {"ch04/a": [1.0, 5], "ch04": 6.0, "pace": 2.0})
     return folder
 
 
@@ -35,13 +35,14 @@ def test_accepting_keeps_the_chapters_that_were_not_run(tmp_path):
     for name in ("F4.2.csv", "F2.1.csv"):
         (reference / name).write_text("a\n1\n")
     write_json(reference / "claims.json", [{"id": "C4.9", "verdict": "holds"}, {"id": "C2.1", "verdict": "holds"}])
-    write_json(reference / "unit_costs.json", {"ch02/b": 2.0, "ch04/a": 9.0})
+    write_json(reference / "unit_costs.json", {"ch02/b": [2.0, 7], "ch04/a": [9.0, 7], "pace": 1.0})
     latest = results(tmp_path / "latest")
     accept(latest, reference)
     assert sorted(path.name for path in reference.glob("*.csv")) == ["F2.1.csv", "F4.1.csv"]
     assert (reference / "F4.1.csv").read_bytes() == (latest / "F4.1.csv").read_bytes()
     assert [row["id"] for row in read_json(reference / "claims.json", [])] == ["C2.1", "C4.1"]
-    assert read_json(reference / "unit_costs.json", {}) == {"ch02/b": 2.0, "ch04/a": 1.0}
+    costs = {"ch02/b": [2.0, 7], "ch04/a": [0.5, 5], "ch04": 3.0, "pace": 1.0}  # of the reference's faster machine
+    assert read_json(reference / "unit_costs.json", {}) == costs
     assert comparison_lines(compare(latest, reference))[0].startswith("1 of 2")
 
 

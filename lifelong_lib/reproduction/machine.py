@@ -1,15 +1,16 @@
-"""What computes here: the commit of the code, the versions of what learning runs use, and the processor."""
+"""What computes here: the commit of the code, the versions of what learning runs use, the processor and its pace."""
 
 import contextlib
 import platform
 import re
 import subprocess
+import time
 from functools import cache
 from importlib import metadata
 from pathlib import Path
 
 from lifelong_lib.reproduction.children import surroundings
-from lifelong_lib.reproduction.files import ROOT, sha256
+from lifelong_lib.reproduction.files import ROOT, read_json, sha256
 
 PACKAGES = ("numpy", "scipy", "scikit-learn", "torch", "gymnasium", "pybullet", "libsumo")
 
@@ -52,3 +53,21 @@ def processor() -> str:
     linux = Path("/proc/cpuinfo")
     entries = re.findall(r"(?m)^(vendor_id|cpu family|model)\s*: (.+)", linux.read_text() if linux.exists() else "")
     return " ".join(dict(entries).values()) or platform.processor() or platform.machine()
+
+
+@cache
+def pace() -> float:
+    """Seconds that a fixed piece of work takes here, in plain Python like most of a chapter; the shortest of three."""
+    def work() -> float:
+        start = time.perf_counter()
+        sum(number * number % 7 for number in range(1_000_000))
+        return time.perf_counter() - start
+    return min(work() for _ in range(3))
+
+
+def unit_costs(reference: Path) -> dict:
+    """What the reference took, in seconds of this machine: {"ch02/lives": (of a run, runs), "ch02": all the rest}."""
+    costs = read_json(reference / "unit_costs.json", {})
+    slower = pace() / costs.pop("pace", pace())
+    return {name: (cost[0] * slower, cost[1]) if isinstance(cost, list) else cost * slower
+            for name, cost in costs.items() if cost != [None, 0]}  # fmt: skip

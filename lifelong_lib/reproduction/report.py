@@ -4,6 +4,7 @@ Everything here is made from files that a run left in `figures/latest/<profile>`
 """
 
 import csv
+import math
 import platform
 import re
 import shutil
@@ -13,16 +14,17 @@ from lifelong_lib.reproduction.claims import ledger, within_bounds
 from lifelong_lib.reproduction.files import ROOT, read_json, require, sha256, write_json
 from lifelong_lib.reproduction.grid import read_reports
 from lifelong_lib.reproduction.labels import VERDICTS, order
-from lifelong_lib.reproduction.machine import commit, versions
+from lifelong_lib.reproduction.machine import commit, pace, versions
 from lifelong_lib.reproduction.runs import PROFILES
 
 RESULTS = "[FT]*.*"  # the files of figures and tables
 
 
-def write_provenance(folder: Path, profile: str, parameters: dict[int, dict]) -> None:
-    """Writes provenance.json (what made the results; no dates) and unit_costs.json (seconds a run of each grid).
+def write_provenance(folder: Path, profile: str, parameters: dict[int, dict], took: dict[int, float]) -> None:
+    """Writes provenance.json (what made the results; no dates) and unit_costs.json (as in `machine.unit_costs`).
 
-    parameters: the full parameter values of the chapters that were just run; other chapters keep their entry.
+    parameters: the full parameter values of the chapters that were just run; other chapters keep their entry. took: the
+    seconds of these chapters.
     """
     grids = read_reports(folder)
     chapters = read_json(folder / "provenance.json", {}).get("chapters", {})
@@ -36,7 +38,12 @@ def write_provenance(folder: Path, profile: str, parameters: dict[int, dict]) ->
         "chapters": chapters, "versions": versions("matplotlib", "rerun-sdk", "joblib", "papermill"),
         "machine": f"{platform.system()} {platform.machine()}",
     })
-    costs = {f"ch{grid.chapter:02d}/{grid.name}": grid.seconds_per_run for grid in grids}
+    costs = read_json(folder / "unit_costs.json", {}) | {"pace": pace()}
+    costs |= {f"ch{grid.chapter:02d}/{grid.name}": [grid.seconds_per_run, grid.wanted] for grid in grids}
+    for number, seconds in took.items():
+        rounds = [math.ceil(grid.computed / parameters[number]["workers"]) * (grid.seconds_per_run or 0)
+                  for grid in grids if grid.chapter == number]  # fmt: skip
+        costs[f"ch{number:02d}"] = max(0.0, seconds - sum(rounds))
     write_json(folder / "unit_costs.json", costs)
 
 
@@ -112,8 +119,11 @@ def accept(latest: Path, reference: Path) -> int:
         shutil.copyfile(path, reference / path.name)
     kept = [row for row in read_json(reference / "claims.json", []) if order(row["id"])[1] not in chapters]
     write_json(reference / "claims.json", sorted(kept + claims, key=lambda row: order(row["id"])))
-    costs = read_json(reference / "unit_costs.json", {}) | read_json(latest / "unit_costs.json", {})
-    write_json(reference / "unit_costs.json", costs)
+    theirs, ours = (read_json(folder / "unit_costs.json", {}) for folder in (reference, latest))
+    slower = theirs.get("pace", 1.0) / ours.get("pace", 1.0) if theirs else 1.0
+    scaled = {name: [cost[0] and cost[0] * slower, cost[1]] if isinstance(cost, list) else cost * slower
+              for name, cost in ours.items()}  # fmt: skip
+    write_json(reference / "unit_costs.json", theirs | scaled)
     about, old = (read_json(folder / "provenance.json", {}) for folder in (latest, reference))
     write_json(reference / "provenance.json", about | {"chapters": old.get("chapters", {}) | about.get("chapters", {})})
     return len(made)

@@ -19,10 +19,10 @@ from tqdm import tqdm
 from lifelong_lib.reproduction.audits import audit, stamped
 from lifelong_lib.reproduction.children import terminal, warn
 from lifelong_lib.reproduction.configurations import canonical
-from lifelong_lib.reproduction.files import ROOT, ReproductionError, read_json, require
+from lifelong_lib.reproduction.files import ROOT, ReproductionError, require
 from lifelong_lib.reproduction.fingerprint import checksums, fingerprint
 from lifelong_lib.reproduction.grid import Grid, make_tasks, whole
-from lifelong_lib.reproduction.machine import commit, versions
+from lifelong_lib.reproduction.machine import commit, unit_costs, versions
 from lifelong_lib.reproduction.packed import Run
 from lifelong_lib.reproduction.store import Store
 
@@ -162,8 +162,9 @@ def _plan(chapter, grid) -> dict[str, Run]:
     """Say how much is stored and what the rest costs; NotStored if there is a rest, for nothing is computed."""
     kept = chapter.profile == "paper" and not chapter.options.get("fresh")
     rest = len(grid.missing) + (0 if kept else len(grid.stale))
-    costs = read_json(ROOT / "figures" / "reference" / chapter.profile / "unit_costs.json", {})
-    each = grid.seconds_per_run or costs.get(f"{chapter.results.name}/{grid.name}")
+    costs = unit_costs(ROOT / "figures" / "reference" / chapter.profile)
+    each, _ = costs.get(f"{chapter.results.name}/{grid.name}", (None, 0))
+    each = grid.seconds_per_run or each
     seconds = None if each is None else float(each) * math.ceil(rest / chapter.workers)
     grid.report(chapter.folder, seconds=seconds)
     if rest:
