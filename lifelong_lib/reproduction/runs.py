@@ -142,8 +142,8 @@ def _compute_and_store(chapter, grid, store, keys) -> dict[str, Run]:
     try:
         with contextlib.closing(results), _bar(title, len(keys)) as bar:
             for run in results:
-                done[run.key] = run
                 store.add(run)
+                done[run.key] = run
                 bar.update()
     except KeyboardInterrupt:
         message = f"interrupted: {len(done)} of {len(keys)} runs of '{grid.name}' are stored, run again for the rest"
