@@ -43,6 +43,9 @@ def test_accepting_keeps_the_chapters_that_were_not_run(tmp_path):
     assert [row["id"] for row in read_json(reference / "claims.json", [])] == ["C2.1", "C4.1"]
     costs = {"ch02/b": [2.0, 7], "ch04/a": [0.5, 5], "ch04": 3.0, "pace": 1.0}  # of the reference's faster machine
     assert read_json(reference / "unit_costs.json", {}) == costs
+    write_json(reference / "unit_costs.json", {"ch04/a": [9.0, 0]})  # an old one, of a machine that nobody knows
+    accept(latest, reference)
+    assert read_json(reference / "unit_costs.json", {}) == read_json(latest / "unit_costs.json", {})
     assert comparison_lines(compare(latest, reference))[0].startswith("1 of 2")
 
 

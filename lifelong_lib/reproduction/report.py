@@ -120,7 +120,7 @@ def accept(latest: Path, reference: Path) -> int:
     kept = [row for row in read_json(reference / "claims.json", []) if order(row["id"])[1] not in chapters]
     write_json(reference / "claims.json", sorted(kept + claims, key=lambda row: order(row["id"])))
     theirs, ours = (read_json(folder / "unit_costs.json", {}) for folder in (reference, latest))
-    slower = theirs.get("pace", 1.0) / ours.get("pace", 1.0) if theirs else 1.0
+    slower = theirs["pace"] / ours["pace"] if "pace" in theirs and "pace" in ours else 1.0
     scaled = {name: [cost[0] and cost[0] * slower, cost[1]] if isinstance(cost, list) else cost * slower
               for name, cost in ours.items()}  # fmt: skip
     write_json(reference / "unit_costs.json", theirs | scaled)
