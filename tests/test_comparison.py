@@ -67,6 +67,16 @@ def test_means_with_errors_are_compared_in_all_their_numbers(tmp_path):
     assert compare(ours, theirs)["results"][0]["data"] == "different by at most 0.2"
 
 
+def test_measured_seconds_are_passed_over(tmp_path):
+    ours, theirs = results(tmp_path / "a"), results(tmp_path / "b")
+    for folder, took, score in ((ours, 3.0, 1.0), (theirs, 9.0, 1.0)):
+        (folder / "F4.1.csv").write_text(f"what,mean\nseconds a task,{took}\nscore,{score}\n")
+    found = compare(ours, theirs)
+    assert found["results"][0]["data"] == "equal within 1e-9 but for measured seconds" and found["same"]
+    (ours / "F4.1.csv").write_text("what,mean\nseconds a task,3.0\nscore,1.5\n")
+    assert compare(ours, theirs)["results"][0]["data"] == "different by at most 0.5"
+
+
 def test_pictures_verdicts_and_missing_results_are_told(tmp_path):
     ours, theirs = results(tmp_path / "a", verdict="undecided", pixel=1.0), results(tmp_path / "b")
     (ours / "T4.10.csv").write_text("a\n1\n")
