@@ -85,7 +85,7 @@ def make_project(root: Path) -> Path:
     write_notebook(root / "notebooks" / "ch04_demonstration.ipynb", cells)
     (root / "data" / "thesis").mkdir(parents=True)
     (root / "data" / "thesis" / "claims.toml").write_text(LEDGER)
-    for name in ("environment.txt", "DEVIATIONS.md", "data/thesis/chapters.toml"):
+    for name in ("environment.txt", "DEVIATIONS.md", "data/thesis/chapters.toml", "data/thesis/readers.toml"):
         shutil.copyfile(REPOSITORY / name, root / name)
     return root
 

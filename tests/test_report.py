@@ -15,7 +15,7 @@ from docutils import nodes
 from lifelong_lib.reproduction import book
 from lifelong_lib.reproduction.claims import ledger
 from lifelong_lib.reproduction.comparison import compare, comparison_lines
-from lifelong_lib.reproduction.files import ReproductionError, read_json, write_json
+from lifelong_lib.reproduction.files import ReproductionError, read_json, read_toml, write_json
 from lifelong_lib.reproduction.labels import order
 from lifelong_lib.reproduction.report import accept, directions, reading, standings
 
@@ -88,7 +88,13 @@ def test_a_chapter_shows_results_first_folds_drawing_and_explains_below_a_verdic
     assert [cell.source.split("\n")[0] for cell in page.cells[:2]] == ["# A chapter", "## What came of it"]
     assert page.cells[1].source.count("a \\| b") == 1, "another chapter's claims stand elsewhere"
     assert ["hide-input" in cell.metadata.get("tags", []) for cell in page.cells[2:5]] == [True, True, False]
-    assert "Because." in page.cells[-1].source and "why?" in page.cells[-1].source
+    assert "Because." in page.cells[-2].source and "why?" in page.cells[-2].source
+    assert page.cells[-1].source.count("<summary>") == 5
+
+
+def test_every_chapter_with_experiments_of_the_thesis_asks_five_questions():
+    asked = [question["chapter"] for question in read_toml(book.ROOT / "data" / "thesis" / "readers.toml")["question"]]
+    assert {chapter: asked.count(chapter) for chapter in asked} == dict.fromkeys(range(2, 8), 5)
 
 
 @pytest.mark.parametrize("rows, said", [
@@ -108,7 +114,7 @@ def test_below_a_figure_stands_what_it_shows(tmp_path):
     notebook = write_notebook(tmp_path / "notebooks" / "ch04_some.ipynb", cells, None)
     (tmp_path / "F4.1.csv").write_text("panel,series,x,mean\n<a>,A,3,2\n<a>,B,3,1\n")
     page = book._chapter_page(notebook, [], {})
-    assert "where curves end: &lt;a&gt;: highest A (2), lowest B (1).</p>" in page.cells[-1].source
+    assert "where curves end: &lt;a&gt;: highest A (2), lowest B (1).</p>" in page.cells[-2].source
 
 
 def test_pictures_are_not_read(tmp_path):

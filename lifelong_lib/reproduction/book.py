@@ -153,6 +153,10 @@ def _chapter_page(path: Path, standing: list[dict], explained: dict) -> nbformat
             if name in explained:
                 text = page("finding.md", claim=explained[name][0], why=explained[name][1])
                 cells.append(nbformat.v4.new_markdown_cell(text, id=f"finding-{name}".replace(".", "-")))
+    asked = read_toml(ROOT / "data" / "thesis" / "readers.toml").get("question", [])
+    questions = [question for question in asked if question["chapter"] == int(path.name[2:4])]
+    if questions:
+        cells.append(nbformat.v4.new_markdown_cell(page("readers.md", questions=questions), id="questions"))
     notebook.cells = cells
     return notebook
 
