@@ -288,6 +288,7 @@ def compare_command(options: argparse.Namespace) -> int:
     for folder, mend in zip(folders, ("run", "accept"), strict=True):
         hint = "" if options.folders else f"; `./reproduce.sh {mend} --profile {options.profile}` makes it"
         require(folder.is_dir(), f"{folder} is not there{hint}")
+        require(any(folder.glob(report.RESULTS)), f"{folder} has no figures and no tables: it is not what a run wrote")
     found = comparison.compare(*folders, options.tolerance)
     index = comparison.write_page(found, *folders, options.page or folders[0] / "comparison")
     print(json.dumps(found, indent=1) if options.json else "\n".join(comparison.comparison_lines(found)))

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib import image
 
-from lifelong_lib.reproduction.files import read_json, require, write_json
+from lifelong_lib.reproduction.files import read_json, write_json
 from lifelong_lib.reproduction.labels import order
 from lifelong_lib.reproduction.templates import PAGES, page
 
@@ -31,7 +31,6 @@ def compare(latest: Path, reference: Path, tolerance: float = ROUNDING) -> dict:
     processor explains what differs, as no verdict and no number of a claim moved. same: whether nothing matters.
     """
     names = {path.stem for folder in (latest, reference) for path in folder.glob("[FT]*.csv")}
-    require(names, f"neither {latest} nor {reference} has figures or tables: both are folders that a run wrote")
     results = [_compare_result(latest, reference, name, tolerance) for name in sorted(names, key=order)]
     verdicts, moved = _compare_claims(*(read_json(folder / "claims.json", []) for folder in (latest, reference)))
     about = [read_json(folder / "provenance.json", {}) for folder in (latest, reference)]
