@@ -90,6 +90,13 @@ def test_pictures_verdicts_and_missing_results_are_told(tmp_path):
     assert lines.startswith("0 of 3") and "holds -> undecided" in lines
 
 
+def test_chapters_that_were_not_run_are_left_out(tmp_path):
+    ours, theirs = results(tmp_path / "a"), results(tmp_path / "b")
+    (theirs / "T7.1.csv").write_text("a\n1\n")
+    found = compare(ours, theirs)
+    assert [row["id"] for row in found["results"]] == ["F4.1"] and found["same"]
+
+
 def test_numbers_that_leave_the_other_runs_interval_are_told(tmp_path):
     assert not compare(results(tmp_path / "a", measured=2.4), results(tmp_path / "b"))["moved"]
     (moved,) = compare(results(tmp_path / "a", measured=2.6), results(tmp_path / "b"))["moved"]

@@ -156,7 +156,7 @@ def _chapter_page(path: Path, standing: list[dict], explained: dict) -> nbformat
     asked = read_toml(ROOT / "data" / "thesis" / "readers.toml").get("question", [])
     questions = [question for question in asked if question["chapter"] == int(path.name[2:4])]
     if questions:
-        cells.append(nbformat.v4.new_markdown_cell(page("readers.md", questions=questions), id="questions"))
+        cells.append(nbformat.v4.new_markdown_cell(page("readers.md", questions=questions), id="five-questions"))
     notebook.cells = cells
     return notebook
 

@@ -20,7 +20,7 @@ ROUNDING = 1e-9  # two numbers as near to each other, in parts of the largest on
 
 
 def compare(latest: Path, reference: Path, tolerance: float = ROUNDING) -> dict:
-    """Compares all figures and tables, verdicts and circumstances; returns, and writes to `latest`/comparison.json:
+    """Compares all chapters that `latest` made something of; returns, and writes to `latest`/comparison.json:
 
     results: [{id, data, picture, cells, matters}], the first two in words; cells that differ, the largest difference
     first (at most ten), but for rows of measured seconds; matters: whether one is beyond the ``tolerance``, in parts of
@@ -30,7 +30,8 @@ def compare(latest: Path, reference: Path, tolerance: float = ROUNDING) -> dict:
     and settings. not_made_now: {latest, reference: [words]} about stale and stamped runs. rounding: whether another
     processor explains what differs, as no verdict and no number of a claim moved. same: whether nothing matters.
     """
-    names = {path.stem for folder in (latest, reference) for path in folder.glob("[FT]*.csv")}
+    now, before = ({path.stem for path in folder.glob("[FT]*.csv")} for folder in (latest, reference))
+    names = now | {name for name in before if order(name)[1] in {order(other)[1] for other in now}}
     results = [_compare_result(latest, reference, name, tolerance) for name in sorted(names, key=order)]
     verdicts, moved = _compare_claims(*(read_json(folder / "claims.json", []) for folder in (latest, reference)))
     about = [read_json(folder / "provenance.json", {}) for folder in (latest, reference)]
