@@ -150,6 +150,17 @@ def test_two_equal_runs_leave_an_empty_page_and_old_pictures_go(tmp_path):
     assert comparison_lines(found) == ["1 of 1 figures and tables are identical to the reference"]
 
 
+def test_what_else_is_in_the_pages_folder_stays(tmp_path):
+    ours, theirs, page = results(tmp_path / "a", pixel=1.0), results(tmp_path / "b"), tmp_path / "page"
+    (page / "mine").mkdir(parents=True)
+    for name in ("thesis.tex", "mine/F4.1-A.png", "photo-A.png"):
+        (page / name).write_text("mine")
+    write_page(compare(ours, theirs), ours, theirs, page)
+    write_page(compare(results(tmp_path / "a"), theirs), ours, theirs, page)
+    assert sorted(path.name for path in page.iterdir()) == ["index.html", "mine", "photo-A.png", "thesis.tex"]
+    assert (page / "mine" / "F4.1-A.png").read_text() == "mine"
+
+
 def test_runs_that_made_nothing_are_alike(tmp_path):
     assert compare(tmp_path, tmp_path)["same"]
 

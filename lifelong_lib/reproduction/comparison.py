@@ -16,6 +16,7 @@ from lifelong_lib.reproduction.files import read_json, write_json
 from lifelong_lib.reproduction.labels import order
 from lifelong_lib.reproduction.templates import PAGES, page
 
+PICTURES = ("A", "B", "difference")
 ROUNDING = 1e-9  # two numbers as near to each other, in parts of the largest one of their column, are equal
 
 
@@ -172,8 +173,10 @@ def comparison_lines(comparison: dict) -> list[str]:
 
 def write_page(comparison: dict, latest: Path, reference: Path, folder: Path) -> Path:
     """Writes `folder`/index.html, which shows what differs first, both pictures and their difference; returns it."""
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
+    folder.mkdir(parents=True, exist_ok=True)
+    for ending in PICTURES:  # of an earlier comparison; the folder may be the reader's, and hold other things
+        for old in folder.glob(f"[FT]*.*-{ending}.png"):
+            old.unlink()
     differs = [row | {"pictures": _pictures(latest / f"{row['id']}.png", reference / f"{row['id']}.png", folder)}
                for row in sorted(comparison["results"], key=lambda row: not row["matters"])
                if not _identical(row)]  # fmt: skip
