@@ -73,8 +73,15 @@ def test_measured_seconds_are_passed_over(tmp_path):
         (folder / "F4.1.csv").write_text(f"what,mean\nseconds a task,{took}\nscore,{score}\n")
     found = compare(ours, theirs)
     assert found["results"][0]["data"] == "equal within 1e-9 but for measured seconds" and found["same"]
-    (ours / "F4.1.csv").write_text("what,mean\nseconds a task,3.0\nscore,1.5\n")
+    (ours / "F4.1.csv").write_text("what,mean\nseconds a task,3.0\nscore,1.5\n")  # and nothing else is
     assert compare(ours, theirs)["results"][0]["data"] == "different by at most 0.5"
+
+
+def test_seconds_that_are_a_result_are_compared(tmp_path):
+    ours, theirs = results(tmp_path / "a"), results(tmp_path / "b")
+    for folder, waited in ((ours, 3.0), (theirs, 9.0)):
+        (folder / "F4.1.csv").write_text(f"driver,what,mean\nM,seconds to setting off,{waited}\n")
+    assert compare(ours, theirs)["results"][0]["data"] == "different by at most 6"
 
 
 def test_pictures_verdicts_and_missing_results_are_told(tmp_path):

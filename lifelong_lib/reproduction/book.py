@@ -72,7 +72,8 @@ def build_book(folder: Path, reference: Path) -> Path:
     recordings = sorted(path.stem for path in (folder / "recordings").glob("*.rrd"))
     introduction, others, findings = _findings()
     pages = {"claims": page("claims.md", claims=claims, standing=standing, places=places),
-             "not_reproduced": page("not_reproduced.md", introduction=introduction, others=others,
+             "not_reproduced": page("not_reproduced.md", introduction=introduction,
+                                     others=[(title, with_numbers(text, standing)) for title, text in others],
                                      explained=_explained(standing, findings), untested=_with("not tested", standing)),
              "deviations": (ROOT / "DEVIATIONS.md").read_text(), "recordings": page("recordings.md", names=recordings),
              "costs": page("costs.md", rows=cost_table(ROOT / "data" / "results" / "paper")),

@@ -5,7 +5,6 @@ Everything here is made from files that runs left in `figures/latest/<profile>`,
 
 import csv
 import math
-import re
 import shutil
 from pathlib import Path
 
@@ -24,7 +23,7 @@ def compare(latest: Path, reference: Path, tolerance: float = ROUNDING) -> dict:
     """Compares all chapters that `latest` made something of; returns, and writes to `latest`/comparison.json:
 
     results: [{id, data, picture, cells, matters}], the first two in words; cells that differ, the largest difference
-    first (at most ten), but for rows of measured seconds; matters: whether one is beyond the ``tolerance``, in parts of
+    first (at most ten), but for rows headed seconds; matters: whether one is beyond the ``tolerance``, in parts of
     the largest number of its column.
     verdicts: [{id, reference, latest}] of those that changed. moved: [{id, label, reference, latest, interval}] of
     numbers outside the other run's interval. made: [{what, reference, latest}] of what differs in versions, processor
@@ -69,7 +68,7 @@ def _compare_data(ours: Path, theirs: Path) -> tuple[str, list]:
     if [len(row) for row in first] != [len(row) for row in second] or first[:1] != second[:1]:
         return "other rows or columns", []
     header, cells = first[0], []
-    timed = [bool(re.search(r"\bseconds\b", " ".join(now))) for now in first]  # no two runs take the same time
+    timed = [now[0].startswith("seconds") for now in first]  # rows headed so were measured: no two runs take the same
     columns = zip(*second[1:], strict=True)
     sizes = [max(abs(_number(text)) for text in column) or 1.0 for column in columns]
     for now, before, passed_over in zip(first[1:], second[1:], timed[1:], strict=True):
