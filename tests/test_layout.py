@@ -191,7 +191,11 @@ def loc(cell) -> int:
 def test_notebook_parameters(path):
     assert list(read_parameters(path))[:4] == list(COMMON)
     (cell,) = (cell for cell in code(path) if "parameters" in cell.metadata.get("tags", []))
-    assert all(re.search(r"  # \S", line) for line in cell.source.splitlines()), "every parameter has a comment"
+    lines = cell.source.splitlines()
+    for statement in ast.parse(cell.source).body:  # beside a line, or above a dictionary
+        beside, above = (lines[number] for number in (statement.lineno - 1, statement.lineno - 2))
+        told = re.search(r"  # \S", beside) or (isinstance(statement.value, ast.Dict) and above.startswith("# "))
+        assert told, f"no comment: {beside}"
 
 
 @each_notebook

@@ -1,6 +1,7 @@
 """Parameters are checked before anything runs; every chapter notebook runs at smoke and makes what it announces."""
 
 import json
+import re
 
 import pytest
 from conftest import BROKEN, REPOSITORY, SET_UP, TITLE, write_notebook
@@ -88,6 +89,19 @@ def test_wrong_names_and_types_are_refused(notebook, name, text, complaint):
     with pytest.raises(ReproductionError) as caught:
         typed_parameters(notebook, {name: text})
     assert complaint in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_entries_of_a_dictionary_are_parameters_too(tmp_path):
+    knobs = 'knobs = {"cart-pole": {"step": 0.3, "k": 5}, "bicycle": {"step": 0.1, "k": 7}}'
+    path = write_notebook(tmp_path / "ch04_knobs.ipynb", [TITLE], parameters=knobs)
+    typed = typed_parameters(path, {"knobs.cart-pole.step": "1"})
+    assert typed == {"knobs": {"cart-pole": {"step": 1.0, "k": 5}, "bicycle": {"step": 0.1, "k": 7}}}
+    assert typed_parameters(path, typed) == typed
+    refused = [("knobs.bicycle.k", "7.5", "'knobs.bicycle.k' of ch04_knobs.ipynb wants a whole number"),
+               ("knobs.bicycel.k", "7", "did you mean 'knobs.bicycle.k'?"), ("knobs", "{}", "no parameter 'knobs'; ")]
+    for name, text, complaint in refused:
+        with pytest.raises(ReproductionError, match=re.escape(complaint)):
+            typed_parameters(path, {name: text})
 
 
 def test_two_notebooks_of_one_chapter_are_refused_and_copies_are_named(tmp_path, capsys):

@@ -79,12 +79,13 @@ def _parameters_cell(path: Path) -> str:
 def typed_parameters(path: Path, given: dict[str, object]) -> dict[str, object]:
     """All parameters of the notebook: its defaults, and `given` (values, or texts from a command line) converted.
 
-    Unknown names (with the nearest known one) and values of another type than the default raise ReproductionError, and
-    so do lists of another length, unless their comment says "any number".
+    An entry of a dictionary is named with a dot, as in `knobs.bicycle.step`. Unknown names (with the nearest known one)
+    and values of another type than the default raise ReproductionError, and so do lists of another length, unless their
+    comment says "any number".
     """
-    typed = read_parameters(path)
+    typed = _flat(read_parameters(path))
     free = re.findall(r"(?m)^(\w+) = \[.*\]  # .*\bany number\b", _parameters_cell(path))
-    for name, value in given.items():
+    for name, value in _flat(given).items():
         near = difflib.get_close_matches(name, typed, n=1)
         hint = f"did you mean '{near[0]}'?" if near else f"it has {', '.join(typed)}"
         require(name in typed, f"{path.name} has no parameter '{name}'; {hint}")
@@ -98,7 +99,28 @@ def typed_parameters(path: Path, given: dict[str, object]) -> dict[str, object]:
             due, found = len(default), len(typed[name])
             message = f"parameter '{name}' of {path.name} wants {due} entries, as in {default}, not {found}"
             require(found == due, message)
-    return typed
+    return _nested(typed)
+
+
+def _flat(parameters: dict) -> dict[str, object]:
+    """{"knobs.bicycle.step": 0.1} for {"knobs": {"bicycle": {"step": 0.1}}}."""
+    flat = {}
+    for name, value in parameters.items():
+        inner = _flat(value) if isinstance(value, dict) else {}
+        flat |= {f"{name}.{key}": entry for key, entry in inner.items()} or {name: value}
+    return flat
+
+
+def _nested(flat: dict[str, object]) -> dict:
+    """What `_flat` was given."""
+    nested: dict = {}
+    for name, value in flat.items():
+        *outer, last = name.split(".")
+        place = nested
+        for key in outer:
+            place = place.setdefault(key, {})
+        place[last] = value
+    return nested
 
 
 def _convert(value: object, default: object) -> object:
