@@ -44,6 +44,7 @@ def test_one_policy_for_all_is_the_mean_or_the_mean_weighted_by_curvature():
 
 @pytest.mark.parametrize("change, passes", [
     ({}, True),
+    ({"pace": 0.16}, False),
     ({"own": [-1.3]}, False),  # of a distance of 4 more than a quarter is left
     ({"same": [-0.2]}, False),  # told leads by 0.1 of a gain of 5: a fiftieth
     ({"told": [-1.05]}, False),  # less than the machine's own policy
@@ -54,12 +55,23 @@ def test_a_setting_passes_if_learning_pays_and_descriptions_tell_and_add(change,
     values = {"start": [-6.0], "nothing": [-4.0], "session": [-2.0], "own": [-1.0], "told": [-0.1], "same": [-3.0],
               "single": [-0.6]}
     config |= {key: value for key, value in change.items() if key == "system"}
-    values |= {key: value for key, value in change.items() if key != "system"}
-    space = load(4, "judge", calibration=runs((config, values)), chosen=lambda name: None)
+    values |= {key: value for key, value in change.items() if key not in ("system", "pace")}
+    space = load(4, "judge", calibration=runs((config, values)), chosen=lambda name: None,
+                 pace=lambda config: change.get("pace", 0.15))
     row = space.judge(config)
     assert row["passes"] == passes
     if not change:
         assert (row["tells"], row["adds"], row["over the best single"]) == pytest.approx((0.58, 0.18, 0.1))  # of 5
+
+
+def test_the_pace_of_a_setting_is_compared_with_the_thesiss_curve():
+    config = {"system": "bicycle"}
+    values = {"start": [-9.0], "1 thirds": [-5.0], "2 thirds": [-2.0], "session": [-1.0]}  # 0.5 and 0.875 of the gain
+    space = load(4, "pace", "shares", calibration=runs((config, values)), SHORT={"bicycle": "BK", "quadrotor": "quadrotor"},
+                 CURVES={"BK": [-10.0, -3.0, -2.0, 0.0]})  # 0.7 and 0.8
+    assert space.pace(config) == pytest.approx(0.2)
+    assert space.pace({"system": "quadrotor"}) == 0.0
+
 
 CART = {"lightest": 0.1, "heaviest": 4.0, "shortest": 0.2, "longest": 1.0, "seconds": 0.05, "noise": 5.0, "step": 0.1}
 
