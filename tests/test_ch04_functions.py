@@ -67,8 +67,8 @@ def test_a_setting_passes_if_learning_pays_and_descriptions_tell_and_add(change,
 def test_the_pace_of_a_setting_is_compared_with_the_thesiss_curve():
     config = {"system": "bicycle"}
     values = {"start": [-9.0], "1 thirds": [-5.0], "2 thirds": [-2.0], "session": [-1.0]}  # 0.5 and 0.875 of the gain
-    space = load(4, "pace", "shares", calibration=runs((config, values)), SHORT={"bicycle": "BK", "quadrotor": "quadrotor"},
-                 CURVES={"BK": [-10.0, -3.0, -2.0, 0.0]})  # 0.7 and 0.8
+    curves, short = {"BK": [-10.0, -3.0, -2.0, 0.0]}, {"bicycle": "BK", "quadrotor": "quadrotor"}  # 0.7 and 0.8
+    space = load(4, "pace", "shares", calibration=runs((config, values)), SHORT=short, CURVES=curves)
     assert space.pace(config) == pytest.approx(0.2)
     assert space.pace({"system": "quadrotor"}) == 0.0
 

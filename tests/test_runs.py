@@ -230,6 +230,21 @@ def test_run_card_is_the_same_twice_and_picks_follow_the_profile(root):
     assert chapter("paper").pick(smoke=1, quick=2, paper=3) == 3
 
 
+def test_what_is_shown_at_quick_is_the_paper_runs_where_they_are_stored_and_fit(root):
+    def lengths(grid):
+        return {task: grid.stack("curve", domain=task).shape[1] for task in ("cart-pole", "bicycle")}
+
+    larger = [config | {"tasks": 10 * config["tasks"]} for config in CONFIGS]
+    own = run_grid(chapter(), "grid", experiment, CONFIGS)
+    assert runs.best_stored(chapter(), {"grid": own}, lengths) == {"cart-pole": 3, "bicycle": 2}  # nothing at paper
+    run_grid(chapter("paper"), "grid", experiment, larger[:1])
+    assert runs.best_stored(chapter(), {"grid": own}, lengths) == {"cart-pole": 3, "bicycle": 2}  # no bicycle there
+    run_grid(chapter("paper"), "grid", experiment, larger)
+    assert runs.best_stored(chapter(), {"grid": own}, lengths) == {"cart-pole": 30, "bicycle": 20}
+    smoke = run_grid(chapter("smoke"), "grid", experiment, CONFIGS)
+    assert runs.best_stored(chapter("smoke"), {"grid": smoke}, lengths) == {"cart-pole": 3, "bicycle": 2}
+
+
 def test_a_simulator_that_is_not_installed_does_not_stop_other_chapters(root, monkeypatch):
     known = {"numpy": np.__version__}
 

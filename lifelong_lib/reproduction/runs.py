@@ -187,6 +187,20 @@ def _audit(chapter, grid, store) -> dict[str, Run]:
     return grid.runs
 
 
+def best_stored(chapter: Chapter, grids: dict[str, Results], choose: Callable):
+    """What `choose(*results)` takes of grids to be shown: at quick of the runs at paper, where it finds them stored.
+
+    grids: this run's own, by their names. Nothing that is measured may come from here.
+    """
+    if chapter.profile == "quick":
+        folder = replace(chapter, profile="paper").results
+        stored = [Store(folder / name, chapter.number, name).read(keep=True).values() for name in grids]
+        with contextlib.suppress(ReproductionError):  # none is stored, or not what this notebook asks for
+            require(all(stored), "not stored")
+            return choose(*(Results(sorted(runs, key=lambda run: run.seed)) for runs in stored))
+    return choose(*grids.values())
+
+
 def run_card(chapter: Chapter) -> str:
     """What a chapter was made with, a line each: profile, seeds, workers, backend, commit, versions; no date.
 
