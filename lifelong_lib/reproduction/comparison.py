@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib import image
 
+from lifelong_lib.reproduction.configurations import flat
 from lifelong_lib.reproduction.files import read_json, write_json
 from lifelong_lib.reproduction.labels import order
 from lifelong_lib.reproduction.templates import PAGES, page
@@ -35,7 +36,7 @@ def compare(latest: Path, reference: Path, tolerance: float = ROUNDING) -> dict:
     results = [_compare_result(latest, reference, name, tolerance) for name in sorted(names, key=order)]
     verdicts, moved = _compare_claims(*(read_json(folder / "claims.json", []) for folder in (latest, reference)))
     about = [read_json(folder / "provenance.json", {}) for folder in (latest, reference)]
-    made = _differing(*(_flat(each) for each in about))
+    made = _differing(*(_said(each) for each in about))
     missing = any(row["data"] in ("not made", "no reference") for row in results)
     rounding = any(row["what"] == "versions processor" for row in made) and not (missing or verdicts or moved)
     same = not verdicts and not missing and (rounding or not any(row["matters"] for row in results))
@@ -135,13 +136,13 @@ def _inside(part: dict, other: dict) -> bool:
     return low - slack <= part["measured"] <= high + slack
 
 
-def _flat(about: dict) -> dict[str, str]:
+def _said(about: dict) -> dict[str, str]:
     """Provenance as {words: value}, without what is told elsewhere."""
-    flat = {key: str(about[key]) for key in ("profile", "commit", "lock", "machine") if key in about}
-    flat |= {f"versions {package}": version for package, version in about.get("versions", {}).items()}
+    said = {key: str(about[key]) for key in ("profile", "commit", "lock", "machine") if key in about}
+    said |= {f"versions {package}": version for package, version in about.get("versions", {}).items()}
     for chapter, made in about.get("chapters", {}).items():
-        flat |= {f"{chapter} {name}": str(value) for name, value in made["parameters"].items()}
-    return {name: value for name, value in flat.items() if not name.endswith((" output_dir", " workers"))}
+        said |= {f"{chapter} {name}": str(value) for name, value in flat(made["parameters"]).items()}
+    return {name: value for name, value in said.items() if not name.endswith((" output_dir", " workers"))}
 
 
 def _differing(now: dict[str, str], before: dict[str, str]) -> list[dict]:

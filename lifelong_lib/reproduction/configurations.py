@@ -1,4 +1,4 @@
-"""Configurations as text: one canonical text each, a readable name for files, and cells of a table."""
+"""Configurations as text: one canonical text each, a readable name for files, cells of a table, dotted names."""
 
 import json
 import math
@@ -41,3 +41,24 @@ def to_cell(value: object) -> str:
 def from_cell(cell: str) -> object:
     """The value that `to_cell` wrote."""
     return cell if re.fullmatch(PLAIN, cell) else json.loads(cell)
+
+
+def flat(parameters: dict) -> dict[str, object]:
+    """{"knobs.bicycle.step": 0.1} for {"knobs": {"bicycle": {"step": 0.1}}}."""
+    found = {}
+    for name, value in parameters.items():
+        inner = flat(value) if isinstance(value, dict) else {}
+        found |= {f"{name}.{key}": entry for key, entry in inner.items()} or {name: value}
+    return found
+
+
+def nested(dotted: dict[str, object]) -> dict:
+    """What `flat` was given."""
+    whole: dict = {}
+    for name, value in dotted.items():
+        *outer, last = name.split(".")
+        place = whole
+        for key in outer:
+            place = place.setdefault(key, {})
+        place[last] = value
+    return whole

@@ -18,6 +18,7 @@ from jupyter_client.kernelspec import NoSuchKernel
 from papermill.exceptions import PapermillExecutionError
 
 from lifelong_lib.reproduction.children import surroundings, warn
+from lifelong_lib.reproduction.configurations import flat, nested
 from lifelong_lib.reproduction.files import ROOT, ReproductionError, read_json, require
 from lifelong_lib.reproduction.fingerprint import SOURCES
 
@@ -83,9 +84,9 @@ def typed_parameters(path: Path, given: dict[str, object]) -> dict[str, object]:
     and values of another type than the default raise ReproductionError, and so do lists of another length, unless their
     comment says "any number".
     """
-    typed = _flat(read_parameters(path))
+    typed = flat(read_parameters(path))
     free = re.findall(r"(?m)^(\w+) = \[.*\]  # .*\bany number\b", _parameters_cell(path))
-    for name, value in _flat(given).items():
+    for name, value in flat(given).items():
         near = difflib.get_close_matches(name, typed, n=1)
         hint = f"did you mean '{near[0]}'?" if near else f"it has {', '.join(typed)}"
         require(name in typed, f"{path.name} has no parameter '{name}'; {hint}")
@@ -99,28 +100,7 @@ def typed_parameters(path: Path, given: dict[str, object]) -> dict[str, object]:
             due, found = len(default), len(typed[name])
             message = f"parameter '{name}' of {path.name} wants {due} entries, as in {default}, not {found}"
             require(found == due, message)
-    return _nested(typed)
-
-
-def _flat(parameters: dict) -> dict[str, object]:
-    """{"knobs.bicycle.step": 0.1} for {"knobs": {"bicycle": {"step": 0.1}}}."""
-    flat = {}
-    for name, value in parameters.items():
-        inner = _flat(value) if isinstance(value, dict) else {}
-        flat |= {f"{name}.{key}": entry for key, entry in inner.items()} or {name: value}
-    return flat
-
-
-def _nested(flat: dict[str, object]) -> dict:
-    """What `_flat` was given."""
-    nested: dict = {}
-    for name, value in flat.items():
-        *outer, last = name.split(".")
-        place = nested
-        for key in outer:
-            place = place.setdefault(key, {})
-        place[last] = value
-    return nested
+    return nested(typed)
 
 
 def _convert(value: object, default: object) -> object:
