@@ -4,7 +4,7 @@ import contextlib
 import platform
 import re
 import subprocess
-import time
+import timeit
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -58,11 +58,7 @@ def processor() -> str:
 @cache
 def pace() -> float:
     """Seconds that a fixed piece of work takes here, in plain Python like most of a chapter; the shortest of three."""
-    def work() -> float:
-        start = time.perf_counter()
-        sum(number * number % 7 for number in range(1_000_000))
-        return time.perf_counter() - start
-    return min(work() for _ in range(3))
+    return min(timeit.repeat("sum(number * number % 7 for number in range(1_000_000))", number=1, repeat=3))
 
 
 def unit_costs(reference: Path) -> dict:
