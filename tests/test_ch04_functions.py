@@ -8,6 +8,8 @@ import pytest
 from notebook_functions import Recorder, judge, load, run_cell, runs
 from notebook_functions import same as same_in_each
 
+from lifelong_lib.environments import dynamical_systems
+
 same = partial(same_in_each, trials=24)  # fewer decide nothing where the centre is the interquartile mean
 SYSTEMS = ["spring-mass-damper", "cart-pole", "bicycle", "quadrotor"]
 SHORT = dict(zip(SYSTEMS, ("SM", "CP", "BK", "quadrotor"), strict=True))
@@ -56,7 +58,7 @@ def test_a_setting_passes_if_learning_pays_and_descriptions_tell_and_add(change,
     config |= {key: value for key, value in change.items() if key == "system"}
     values |= {key: value for key, value in change.items() if key != "system"}
     space = load(4, "judge", calibration=runs((config, values)), chosen=lambda name: None,
-                 pace=lambda config: 0.3)
+                 KEYS=("seconds", "noise", "step", "cost"), pace=lambda config, runs: 0.3)
     row = space.judge(config)
     assert row["passes"] == passes
     if not change:
@@ -67,9 +69,21 @@ def test_the_pace_of_a_setting_is_compared_with_the_thesiss_curve():
     config = {"system": "bicycle"}
     values = {"start": [-9.0], "1 thirds": [-5.0], "2 thirds": [-2.0], "session": [-1.0]}  # 0.5 and 0.875 of the gain
     curves, short = {"BK": [-10.0, -3.0, -2.0, 0.0]}, {"bicycle": "BK", "quadrotor": "quadrotor"}  # 0.7 and 0.8
-    space = load(4, "pace", "shares", calibration=runs((config, values)), SHORT=short, CURVES=curves)
-    assert space.pace(config) == pytest.approx(0.2)
-    assert space.pace({"system": "quadrotor"}) == 0.0
+    space, found = load(4, "pace", "shares", SHORT=short, CURVES=curves), runs((config, values))
+    assert space.pace(config, found) == pytest.approx(0.2)
+    assert space.pace(config | {"system": "quadrotor"}, runs((config | {"system": "quadrotor"}, values))) == 0.0
+
+
+def test_bicycles_are_widened_about_the_middle_of_their_ranges():
+    config = {"system": "bicycle", "seconds": 0.1, "cost": 0.0}
+    space = load(4, "asked_system", "WIDENED", SYSTEMS=dynamical_systems.SYSTEMS)
+    plain, wide = space.asked_system(config), space.asked_system(config | {"width": 2.0})
+    for before, after in zip(plain.parameters, wide.parameters, strict=True):
+        assert after.low * after.high == pytest.approx(before.low * before.high)
+        power = 2 if before.name in space.WIDENED else 1
+        assert after.high / after.low == pytest.approx((before.high / before.low) ** power)
+    assert sum(q.name in space.WIDENED for q in plain.parameters) == 4 and wide.step_seconds == 0.1
+    assert plain.parameters == dynamical_systems.SYSTEMS["bicycle"].parameters
 
 
 CART = {"lightest": 0.1, "heaviest": 4.0, "shortest": 0.2, "longest": 1.0, "seconds": 0.05, "noise": 5.0, "step": 0.1}
