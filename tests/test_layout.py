@@ -13,7 +13,14 @@ import pytest
 from conftest import REPOSITORY
 from packaging.specifiers import SpecifierSet
 
-from lifelong_lib.reproduction.notebooks import COMMON, find_notebooks, made_ids, read_notebook, read_parameters
+from lifelong_lib.reproduction.notebooks import (
+    COMMON,
+    find_notebooks,
+    grid_names,
+    made_ids,
+    read_notebook,
+    read_parameters,
+)
 
 LIBRARY = REPOSITORY / "lifelong_lib"
 SOURCES = sorted(LIBRARY.rglob("*.py"))
@@ -185,6 +192,12 @@ def code(path: Path) -> list:
 
 def loc(cell) -> int:
     return sum(bool(line.strip()) for line in cell.source.splitlines())
+
+
+@each_notebook
+def test_every_stored_grid_is_one_of_the_notebooks(path):
+    stored = (REPOSITORY / "data" / "results" / "paper" / path.name[:4]).glob("*/record.json")
+    assert {record.parent.name for record in stored} <= set(grid_names(path)), "results that nothing reads"
 
 
 @each_notebook
