@@ -4,11 +4,9 @@ The junctions, and the traffic on them, stand in data/intersections; build.py th
 inside this process, which can hold only one at a time. Registered as lifelong_lib/Intersection-v0.
 """
 
-from functools import cached_property
 from pathlib import Path
 
 import gymnasium as gym
-import numpy as np
 
 from lifelong_lib.environments.crossing import (
     GO,
@@ -19,17 +17,16 @@ from lifelong_lib.environments.crossing import (
     ROWS_BEHIND,
     SPEED,
     WAITS,
-    Crossing,
     overlaps,
 )
-from lifelong_lib.environments.sumo import Roads, Simulation, read_roads
+from lifelong_lib.environments.sumo import SumoCrossing
 
 FOLDER = Path(__file__).resolve().parents[2] / "data" / "intersections"
 TASKS = {"right": "to_east", "left": "to_west", "left2": "to_west", "forward": "to_north", "challenge": "to_north"}
 CLEAR = 5.0  # [m] of its new road that must lie behind the whole car before it is across
 
 
-class Intersection(Crossing):
+class Intersection(SumoCrossing):
     """A trial, as in `Crossing`, at a junction in SUMO; going lasts until it ends.
 
     ``task``: a name of TASKS. ``coordinates``: "local", counted from the car's line, so that the nearest lane is the
@@ -46,23 +43,9 @@ class Intersection(Crossing):
                  render_mode: str | None = None):  # fmt: skip
         if task not in TASKS or coordinates not in ("local", "global"):
             raise ValueError(f"no junction {task!r} in {coordinates!r} coordinates; there are {', '.join(TASKS)}")
-        super().__init__(discount, render_mode)
+        network, routes = (Path(folder) / f"{task}.{kind}.xml" for kind in ("net", "rou"))
+        super().__init__(network, routes, discount, render_mode)
         self.task, self.coordinates = task, coordinates
-        self.sumo = Simulation(*(Path(folder) / f"{task}.{kind}.xml" for kind in ("net", "rou")))
-
-    @cached_property
-    def roads(self) -> Roads:
-        """Lanes, the own car's path and the middle of the junction."""
-        return read_roads(self.sumo.network)
-
-    def cars(self) -> tuple[np.ndarray, np.ndarray]:
-        """Poses of the own car (1, 4), or (0, 4) once it has left, and of others within 130 m of the middle (n, 4)."""
-        return self.sumo.cars()
-
-    def close(self):
-        """Set this process's simulation free, unless another environment has taken it over."""
-        self._ended = True
-        self.sumo.close()
 
     def _begin(self, seeded):
         new = seeded or not self.sumo.held
@@ -89,9 +72,6 @@ class Intersection(Crossing):
         if len(own) and overlaps(own[0], others).any():
             return "collision"
         return "success" if not len(own) or self.sumo.way_on(TASKS[self.task]) >= LENGTH + CLEAR else ""
-
-    def _ground(self):
-        return self.roads.lanes, ROW - 0.3  # [m] what is left out shows as the line between lanes
 
 
 gym.register("lifelong_lib/Intersection-v0", f"{__name__}:Intersection")

@@ -5,7 +5,6 @@ road; here they also brake for an own car that reaches into their lane from the 
 lifelong_lib/SafeJunction-v0.
 """
 
-from functools import cached_property
 from itertools import count
 from pathlib import Path
 
@@ -21,7 +20,6 @@ from lifelong_lib.environments.crossing import (
     ROWS,
     STEP_SECONDS,
     WIDTH,
-    Crossing,
     grid,
     overlaps,
 )
@@ -36,7 +34,7 @@ from lifelong_lib.environments.prediction import (
     corners,
     covered,
 )
-from lifelong_lib.environments.sumo import READ, Roads, Simulation, read_roads
+from lifelong_lib.environments.sumo import READ, SumoCrossing
 
 FOLDER = Path(__file__).resolve().parents[2] / "data" / "safe_junction"
 DENSITIES = (0.1, 0.15, 0.4)  # cars a second on each lane
@@ -52,7 +50,7 @@ RECOVERY = 25  # steps besides those between trials, so that cars which were hel
 PATIENCE = 9000  # steps in which the first safe moment must come
 
 
-class SafeJunction(Crossing):
+class SafeJunction(SumoCrossing):
     """A trial, from the first moment at which a way to go is safe: wait, or go with one of three accelerations.
 
     To wait lasts until there is a safe way to go again, without ``safety`` one step. To go lasts until the whole car is
@@ -79,23 +77,14 @@ class SafeJunction(Crossing):
         for name, value, known in choices:
             if value not in known:
                 raise ValueError(f"no junction with the {name} {value!r}; there are {', '.join(map(str, known))}")
-        super().__init__(discount, render_mode)
+        routes = Path(folder) / f"left-{density:g}.rou.xml"
+        super().__init__(Path(folder) / "left.net.xml", routes, discount, render_mode)
         self.goal, self.timeout, self.safety, self.shield_penalty = goal, timeout, safety, shield_penalty
         self.observation_space = gym.spaces.Box(0, 3, (2, COLUMNS, 3), np.float32)
         self.action_space = gym.spaces.Discrete(1 + len(PROFILES))
-        self.sumo = Simulation(Path(folder) / "left.net.xml", Path(folder) / f"left-{density:g}.rou.xml")
         self.prediction = self._predict(margins, unseen, view)
         self._first = self._predict(Margins(**vars(margins) | {"extra": 0.0}), unseen, view)
         self.origin = self.roads.middle - [0, ROWS / 2 * ROW]
-
-    @cached_property
-    def roads(self) -> Roads:
-        """Lanes, the own car's path and the middle of the junction."""
-        return read_roads(self.sumo.network)
-
-    def cars(self) -> tuple[np.ndarray, np.ndarray]:
-        """Poses of the own car (1, 4), or (0, 4) once it has left, and of others within 130 m of the middle (n, 4)."""
-        return self.sumo.cars()
 
     def reset(self, *, seed: int | None = None, options: dict | None = None):
         """Begin a trial: (observation, info)."""
@@ -111,11 +100,6 @@ class SafeJunction(Crossing):
         rewards[0] -= self.shield_penalty * replaced
         reward = float(rewards @ self.discount ** np.arange(len(rewards)))
         return seen, reward, ended, late, info | self._said(replaced)
-
-    def close(self):
-        """Set this process's simulation free, unless another environment has taken it over."""
-        self._ended = True
-        self.sumo.close()
 
     def _predict(self, margins, unseen, view):
         path = self.roads.path
@@ -182,9 +166,6 @@ class SafeJunction(Crossing):
         mask = self.safe.copy() if self.safety == "mask" else np.ones_like(self.safe)
         return {"action_mask": mask, "safe": self.safe.copy(), "replaced": replaced, "distance": self.distance,
                 "braking": self.braking}  # fmt: skip
-
-    def _ground(self):
-        return self.roads.lanes, ROW - 0.3  # [m] what is left out shows as the line between lanes
 
     def _look(self) -> np.ndarray:
         return grid(self.cars()[1], self.origin)[ROWS // 2 - 1 : ROWS // 2 + 1]

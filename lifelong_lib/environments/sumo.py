@@ -5,6 +5,7 @@ from the south, on whose line the car "ego" waits. data/intersections has the fi
 """
 
 import hashlib
+from functools import cached_property
 from pathlib import Path
 from typing import ClassVar, NamedTuple
 from xml.etree import ElementTree
@@ -13,7 +14,7 @@ import libsumo
 import numpy as np
 from libsumo import constants
 
-from lifelong_lib.environments.crossing import LENGTH, STEP_SECONDS
+from lifelong_lib.environments.crossing import LENGTH, ROW, STEP_SECONDS, Crossing
 
 WARM_UP = 150  # steps of traffic before the first trial, until there are cars all along the 250 m of each road
 PAUSE = 50  # steps between trials of one simulation, after which the cars near the junction are other ones
@@ -161,3 +162,28 @@ def read_roads(network: Path) -> Roads:
     path.append([start, start + BEYOND * (end - start) / np.linalg.norm(end - start)])
     centre = tree.find("junction[@id='centre']")
     return Roads(list(lanes.values()), np.concatenate(path), np.array([centre.get("x"), centre.get("y")], float))
+
+
+class SumoCrossing(Crossing):
+    """A crossing of this process's simulation: ``network`` and ``routes`` are its files, the rest as in `Crossing`."""
+
+    def __init__(self, network: Path, routes: Path, discount: float, render_mode: str | None):
+        super().__init__(discount, render_mode)
+        self.sumo = Simulation(network, routes)
+
+    @cached_property
+    def roads(self) -> Roads:
+        """Lanes, the own car's path and the middle of the junction."""
+        return read_roads(self.sumo.network)
+
+    def cars(self) -> tuple[np.ndarray, np.ndarray]:
+        """Poses of the own car (1, 4), or (0, 4) once it has left, and of others within 130 m of the middle (n, 4)."""
+        return self.sumo.cars()
+
+    def close(self):
+        """Set this process's simulation free, unless another environment has taken it over."""
+        self._ended = True
+        self.sumo.close()
+
+    def _ground(self):
+        return self.roads.lanes, ROW - 0.3  # [m] what is left out shows as the line between lanes
