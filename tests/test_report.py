@@ -92,6 +92,21 @@ def test_a_chapter_shows_results_first_folds_drawing_and_explains_below_a_verdic
     assert page.cells[-1].source.count("<summary>") == 5
 
 
+def test_what_a_profile_shrinks_is_shown_as_a_table(tmp_path):
+    lines = ['chapter = Chapter(4, profile, seeds or {"smoke": 2, "quick": 4, "paper": 24}.get(profile, 1), workers)',
+             "tasks = chapter.pick(smoke=5, quick=14, paper=40)  # to learn | to know",
+             "n = chapter.pick(smoke=1, quick=2, paper=3)",
+             "lives = seeds or chapter.pick(smoke=2, quick=4, paper=48)  # where tails are heavy",
+             "a, b = chapter.pick(smoke=(1, 2), quick=(3, 4), paper=(5, 6))  # two"]  # fmt: skip
+    notebook = write_notebook(tmp_path / "ch04_some.ipynb", ["# A chapter", "\n".join(lines), lines[1]], None)
+    table, cell, alone = book._chapter_page(notebook, [], {}).cells[1:4]
+    assert [row.split(" | ")[0] for row in table.source.splitlines()[2:]] == \
+        ["| `seeds`", "| `tasks`", "| `n`", "| `lives`", "| `a, b`"]
+    assert "| `tasks` | 5 | 14 | 40 | to learn \\| to know |" in table.source
+    assert "| `seeds` | 2 | 4 | 24 |" in table.source and "| (1, 2) | (3, 4) | (5, 6) | two |" in table.source
+    assert cell.metadata["tags"] == ["hide-input"] and "tags" not in alone.metadata, "one such line stays code"
+
+
 def test_every_chapter_with_experiments_of_the_thesis_asks_five_questions():
     asked = [question["chapter"] for question in read_toml(book.ROOT / "data" / "thesis" / "readers.toml")["question"]]
     assert {chapter: asked.count(chapter) for chapter in asked} == dict.fromkeys(range(2, 8), 5)

@@ -34,6 +34,11 @@ from lifelong_lib.reproduction.templates import PAGES, page
 DRAWS = re.compile(r"^fig, .*= panels\(", re.MULTILINE)  # such cells, and those of imports only, are folded
 IMPORTS = re.compile(r"((from|import|    |\)).*\n?|\n)*")
 
+SEEDS = re.compile(r'Chapter\(\d, profile, seeds or \{"smoke": (\d+), "quick": (\d+), "paper": (\d+)\}')
+SIZES = re.compile(  # what a profile shrinks, a line each: shown as a table, the cell folded
+    r"^([\w, ]+) = (?:seeds or )?chapter\.pick\(smoke=(.+), quick=(.+), paper=(.+)\)(?:  # (.+))?$", re.MULTILINE
+)
+
 REACHABLE = {  # for keyboards and screen readers: what the theme leaves out
     '<div class="output text_html">': '<div class="output text_html" tabindex="0">',
     '<div class="pst-scrollable-table-container">': '<div class="pst-scrollable-table-container" tabindex="0">',
@@ -140,7 +145,11 @@ def _chapter_page(path: Path, standing: list[dict], explained: dict) -> nbformat
     if claims:
         cells.append(nbformat.v4.new_markdown_cell(page("came_of_it.md", claims=claims), id="came-of-it"))
     for cell in notebook.cells[1:]:
-        if cell.cell_type == "code" and (DRAWS.search(cell.source) or IMPORTS.fullmatch(cell.source)):
+        sizes = SIZES.findall(cell.source) if cell.cell_type == "code" else []
+        if len(sizes) > 3:
+            text = page("sizes.md", seeds=SEEDS.findall(cell.source), sizes=sizes)
+            cells.append(nbformat.v4.new_markdown_cell(text, id=f"sizes-{cell.id}"[:64]))
+        if cell.cell_type == "code" and (len(sizes) > 3 or DRAWS.search(cell.source) or IMPORTS.fullmatch(cell.source)):
             cell.metadata["tags"] = [*cell.metadata.get("tags", []), "hide-input"]
         names = named_in_calls(cell.source) if cell.cell_type == "code" else []
         anchors = "".join(f'<a id="{name}"></a>' for name in names)
