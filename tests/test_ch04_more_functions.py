@@ -182,7 +182,7 @@ def costs(power_tadell=1, power_rival=2, factor=100.0, counts=(20, 40, 60)):
                for i, name in enumerate(SYSTEMS) for count in counts]  # fmt: skip
     space = load(4, "seconds", "exponents", costs=runs(*entries), counts=list(counts), systems=SYSTEMS, tasks=40)
     methods = ("TaDeLL", "Sinapov et al.")
-    space.per_task = {m: np.stack([space.seconds(m, n) for n in range(4)], axis=1) / 40 for m in methods}
+    space.per_task = {m: np.stack([space.seconds(m, name) for name in SYSTEMS], axis=1) / 40 for m in methods}
     return space
 
 
