@@ -31,8 +31,8 @@ def main(arguments: list[str] | None = None) -> int:
     """Runs one command; returns the exit code. A foreseeable mistake prints one line and returns 2."""
     arguments = sys.argv[1:] if arguments is None else arguments
     try:
-        if arguments[:1] == ["test"]:  # what follows goes to pytest
-            return call("pytest", *arguments[1:])
+        if arguments[:1] == ["test"]:  # what follows goes to pytest; a file's tests stay in one process
+            return call("pytest", "-n", "2", "--dist", "loadfile", *arguments[1:])
         options = parse(arguments)
         code = options.command(options)
         sys.stdout.flush()

@@ -59,7 +59,7 @@ class Cluster:
     def wait_until_known(self):
         from distributed import Client  # slow to import
 
-        with Client(self.address, timeout=60, set_as_default=False) as client:
+        with Client(self.address, timeout=180, set_as_default=False) as client:
             wait_for(lambda: len(client.scheduler_info(n_workers=-1)["workers"]) == len(self.workers))
 
 

@@ -74,7 +74,8 @@ def test_pytest_gets_what_follows_test(monkeypatch):
 
     monkeypatch.setattr("lifelong_lib.__main__.subprocess.run", stand_in)
     assert main(["test", "-k", "layout", "--fresh"]) == 5
-    assert called == [[sys.executable, "-m", "pytest", "-k", "layout", "--fresh"]]
+    two = ["-n", "2", "--dist", "loadfile"]
+    assert called == [[sys.executable, "-m", "pytest", *two, "-k", "layout", "--fresh"]]
 
 
 def test_a_second_run_in_one_folder_says_which_one_is_going_on(tmp_path):

@@ -104,7 +104,7 @@ def stop_in_the_middle(root, more, send):
         assert process.poll() is None, process.stderr.read()
         time.sleep(0.02)
     send(process.pid)
-    _, errors = process.communicate(timeout=20)
+    _, errors = process.communicate(timeout=120)
     return process.returncode, errors, seconds_of_runs(root)
 
 
@@ -270,7 +270,7 @@ def test_a_notebook_does_not_keep_the_progress_bar(root, monkeypatch):
              "def learn(config, seed): return {'x': half(n)}",
              "run_grid(Chapter(4, 'smoke', 2, 1), 'learn', learn, [{'tasks': 1}]).stack('x')"]  # fmt: skip
     book = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(text) for text in cells])
-    NotebookClient(book, timeout=60, resources={"metadata": {"path": str(HERE)}}).execute()
+    NotebookClient(book, timeout=300, resources={"metadata": {"path": str(HERE)}}).execute()
     outputs = [output for cell in book.cells for output in cell.outputs]
     assert [output["data"]["text/plain"] for output in outputs] == ["array([1.5, 1.5])"]
     (run, _) = grid_store(root, "learn", "smoke").read().values()
