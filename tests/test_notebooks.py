@@ -104,6 +104,13 @@ def test_entries_of_a_dictionary_are_parameters_too(tmp_path):
             typed_parameters(path, {name: text})
 
 
+@pytest.mark.parametrize("keys", ['{10: 1}', '{"a.b": 1}', '{"a": {True: 1}}'])
+def test_dictionaries_whose_entries_have_no_dotted_name_are_refused(tmp_path, keys):
+    path = write_notebook(tmp_path / "ch04_keys.ipynb", [TITLE], parameters=f"sizes = {keys}")
+    with pytest.raises(ReproductionError, match=r"parameters cell of ch04_keys.ipynb need texts without dots as keys"):
+        typed_parameters(path, {})
+
+
 def test_two_notebooks_of_one_chapter_are_refused_and_copies_are_named(tmp_path, capsys):
     first = write_notebook(tmp_path / "ch02_background.ipynb", [TITLE])
     write_notebook(tmp_path / "ch02_background-Copy1.ipynb", [TITLE])

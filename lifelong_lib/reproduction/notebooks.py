@@ -84,7 +84,10 @@ def typed_parameters(path: Path, given: dict[str, object]) -> dict[str, object]:
     and values of another type than the default raise ReproductionError, and so do lists of another length, unless their
     comment says "any number".
     """
-    typed = flat(read_parameters(path))
+    defaults = read_parameters(path)
+    typed = flat(defaults)
+    message = f"dictionaries in the parameters cell of {path.name} need texts without dots as keys"
+    require(nested(typed) == defaults, message)
     free = re.findall(r"(?m)^(\w+) = \[.*\]  # .*\bany number\b", _parameters_cell(path))
     for name, value in flat(given).items():
         near = difflib.get_close_matches(name, typed, n=1)
