@@ -145,13 +145,13 @@ def _chapter_page(path: Path, standing: list[dict], explained: dict) -> nbformat
     if claims:
         cells.append(nbformat.v4.new_markdown_cell(page("came_of_it.md", claims=claims), id="came-of-it"))
     for cell in notebook.cells[1:]:
-        sizes = SIZES.findall(cell.source) if cell.cell_type == "code" else []
+        code = cell.source if cell.cell_type == "code" else None
+        sizes, names = (SIZES.findall(code), named_in_calls(code)) if code else ([], [])
         if len(sizes) > 3:
-            text = page("sizes.md", seeds=SEEDS.findall(cell.source), sizes=sizes)
+            text = page("sizes.md", seeds=SEEDS.findall(code), sizes=sizes)
             cells.append(nbformat.v4.new_markdown_cell(text, id=f"sizes-{cell.id}"[:64]))
-        if cell.cell_type == "code" and (len(sizes) > 3 or DRAWS.search(cell.source) or IMPORTS.fullmatch(cell.source)):
+        if code and (len(sizes) > 3 or DRAWS.search(code) or IMPORTS.fullmatch(code)):
             cell.metadata["tags"] = [*cell.metadata.get("tags", []), "hide-input"]
-        names = named_in_calls(cell.source) if cell.cell_type == "code" else []
         anchors = "".join(f'<a id="{name}"></a>' for name in names)
         cells += [nbformat.v4.new_markdown_cell(anchors, id=f"at-{cell.id}"[:64])] if anchors else []
         cells.append(cell)
