@@ -15,9 +15,9 @@ from docutils import nodes
 from lifelong_lib.reproduction import book
 from lifelong_lib.reproduction.claims import ledger
 from lifelong_lib.reproduction.comparison import compare, comparison_lines
-from lifelong_lib.reproduction.files import ReproductionError, read_json, read_toml, write_json
+from lifelong_lib.reproduction.files import ROOT, ReproductionError, read_json, read_toml, write_json
 from lifelong_lib.reproduction.labels import order
-from lifelong_lib.reproduction.report import accept, directions, reading, standings
+from lifelong_lib.reproduction.report import accept, chapter_verdicts, directions, reading, standings
 
 
 def results(folder: Path, value: str = "1.0", verdict: str = "holds", pixel: float = 0.0) -> Path:
@@ -56,6 +56,16 @@ def test_nothing_to_accept_and_damaged_files_are_named(tmp_path):
     with pytest.raises(ReproductionError, match="claims.json is damaged"):
         read_json(tmp_path / "claims.json", [])
     assert sorted(["F4.10", "F4.9", "C4.1"], key=order) == ["C4.1", "F4.9", "F4.10"]
+
+
+def test_a_chapter_begins_with_the_verdicts_of_the_references():
+    rows = chapter_verdicts(2).rows
+    assert [row["claim"] for row in rows] == [name for name, entry in ledger().items() if entry["chapter"] == 2]
+    judged = {row["id"]: row for row in read_json(ROOT / "figures" / "reference" / "paper" / "claims.json", [])}
+    assert all(row["verdict"] == f"{judged[row['claim']]['verdict']} at paper" for row in rows)
+    assert all(len(row["because"]) <= 240 for row in rows)
+    with pytest.raises(ReproductionError, match="chapter 1 has no claims"):
+        chapter_verdicts(1)
 
 
 def test_the_book_needs_no_network_and_shows_the_results(project):

@@ -9,6 +9,7 @@ import platform
 import re
 import shutil
 from pathlib import Path
+from textwrap import shorten
 
 from lifelong_lib.reproduction.claims import ledger, within_bounds
 from lifelong_lib.reproduction.files import ROOT, read_json, require, sha256, write_json
@@ -16,6 +17,7 @@ from lifelong_lib.reproduction.grid import read_reports
 from lifelong_lib.reproduction.labels import VERDICTS, order
 from lifelong_lib.reproduction.machine import commit, pace, versions
 from lifelong_lib.reproduction.runs import PROFILES
+from lifelong_lib.reproduction.tables import Table
 
 RESULTS = "[FT]*.*"  # the files of figures and tables
 
@@ -57,6 +59,19 @@ def standings(folder: Path, references: Path) -> list[dict]:
     judged = {row["id"]: row for row in sorted(rows, key=_scale)}
     return [judged.get(name, entry | {"verdict": "not tested", "profile": "", "because": "it was never judged"})
             for name, entry in ledger().items()]  # fmt: skip
+
+
+def chapter_verdicts(number: int) -> Table:
+    """Return what the committed references say of a chapter's claims, for the top of its notebook: results first.
+
+    ValueError for a chapter without claims.
+    """
+    references = ROOT / "figures" / "reference"
+    rows = [row for row in standings(references / PROFILES[-1], references) if row["chapter"] == number]
+    require(rows, f"chapter {number} has no claims")
+    return Table([{"claim": row["id"], "the thesis says": row["statement"],
+                   "verdict": f"{row['verdict']} {row['profile'] and 'at ' + row['profile']}",
+                   "because": shorten(row.get("because", ""), 240, placeholder=" ...")} for row in rows])  # fmt: skip
 
 
 def _scale(row: dict) -> int:
