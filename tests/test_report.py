@@ -84,6 +84,7 @@ def test_the_book_needs_no_network_and_shows_the_results(project):
         assert (pages / source).exists(), source
     chapter = (pages / "chapters" / "ch04_demonstration.html").read_text()
     assert all(f'<a id="{name}"></a>' in chapter for name in ("F4.1", "T4.1", "C4.1"))
+    assert 'data-default-mode="auto"' in front, "without one the theme complains in the browser's console"
     assert "<math" in chapter and "(4.1)" in chapter and "MathJax" not in chapter
     assert "The slope is above 2." in (pages / "claims.html").read_text()
     assert all(theirs not in chapter + front and ours in chapter + front for theirs, ours in book.REACHABLE.items())

@@ -55,6 +55,7 @@ html_theme = "sphinx_book_theme"
 html_theme_options = {"home_page_in_toc": True, "use_download_button": False, "use_fullscreen_button": False}
 html_static_path = ["_static"]
 html_css_files = ["book.css"]
+html_context = {"default_mode": "auto"}
 html_copy_source = html_show_sphinx = html_show_copyright = False
 html_math_renderer = "mathml"
 nb_execution_mode = "off"
