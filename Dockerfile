@@ -11,7 +11,7 @@ RUN python -m venv .venv && PIP_EXTRA_INDEX_URL="$TORCH" .venv/bin/pip install -
     && cp environment.txt .venv/installed.txt
 
 FROM python:3.11-slim
-# What SUMO's library loads; git says which commit a run was made with.
+# What SUMO's library loads; git is for the tests. The history stays outside, so that runs in here know no commit.
 RUN apt-get update && apt-get install --yes --no-install-recommends \
     git libatomic1 libexpat1 libgl1 libxext6 libxrender1 && rm -rf /var/lib/apt/lists/*
 WORKDIR /lifelong
