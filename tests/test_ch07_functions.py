@@ -21,7 +21,7 @@ def measured(*rows):
 
 
 def driving(*names, key_of=None, **given):
-    """Functions of the notebook at the profile paper; `drivers`: {name: trials (seeds, trials, measures)} at any time.
+    """Functions of the notebook, for drivers that are {name: trials (seeds, trials, measures)} at any time.
 
     ``key_of``: {(name, when): trials} where a driver's trials depend on when.
     """
@@ -265,16 +265,19 @@ def test_c7_5_compares_successes_of_both_networks_and_the_random_driver(tmp_path
 
     drivers = {"M, z = -1": three((SUCCESS, 30.0, 2), (TIMEOUT, -1, 0)), "B": three((SUCCESS, 12.0, 1)),
                "random": three((SUCCESS, 10.0, 4))}  # fmt: skip
-    looks = {("not learning", "training"): three((SUCCESS, 9.0, 5)),
+    looks = {("not learning", "training"): three((SUCCESS, 9.0, 3)),
              ("M, z = -1", "training"): three(*[(SUCCESS, 50.0, 0)] * 4, (SUCCESS, 20.0, 2))}  # fmt: skip
-    space = driving("first_and_last_fifth", "mean_where", "mean_of_successes", "lateness", "GOALS", "evaluated",
-                    "goal_parts", drivers=drivers, key_of=looks)  # fmt: skip
+    space = driving("first_and_last_fifth", "mean_where", "mean_of_successes", "lateness", "GOALS", "BESIDE",
+                    "compared", "goal_parts", drivers=drivers, key_of=looks, density=0.1)  # fmt: skip
+    space.at_limit = {"0.1 cars a second": three((SUCCESS, 9.0, 5))}.get
     space.twins = looks["M, z = -1", "training"], three(*[(SUCCESS, 50.0, 0)] * 4, (SUCCESS, 21.0, 2.5))
-    assert [float(part[0]) for part in space.goal_parts(space.evaluated).values()] == [18, 20, 2, 3, 1, 2]
+    assert [float(part[0]) for part in space.goal_parts(space.compared).values()] == [18, 20, 2, 3, 1, 2]
     claim = judge(7, "C7.5", space, tmp_path)
     assert claim.verdict == "holds" and claim.control_verdict == "contradicted"
     assert list(claim.control.values()) == [-1, -1, -1, -1, -0.5, -1]
     assert claim.measured["share of time-outs, M"] == 0.5 and claim.measured["share of time-outs, B"] == 0
+    assert claim.measured["braking, not learning minus M [steps]"] == 1
+    assert claim.measured["braking, not learning minus B [steps]"] == 2
     space.twins = space.twins[0], three(*[(SUCCESS, 50.0, 0)] * 4, (SUCCESS, 11.0, 1))  # luck does as much
     assert judge(7, "C7.5", space, tmp_path).verdict == "undecided"
     drivers["B"] = three((TIMEOUT, -1, 0))
