@@ -7,6 +7,7 @@ import pytest
 from notebook_functions import judge, load
 
 from lifelong_lib.environments.crossing import overlaps
+from lifelong_lib.reproduction.files import ReproductionError
 
 MEASURES = ("outcome", "distance", "braking", "waited", "cars", "return", "replaced")
 OUTCOMES = ("success", "collision", "timeout")
@@ -19,9 +20,21 @@ def measured(*rows):
     return np.array([[[*row, *[0.0] * (7 - len(row))] for row in rows]], float)
 
 
-def of_drivers(**drivers):
-    """The notebook's `of` for drivers: {name: trials (seeds, trials, measures)} at any time."""
-    return lambda name, key, measure: drivers[name][..., MEASURES.index(measure)]
+def driving(*names, key_of=None, **given):
+    """Functions of the notebook, for drivers that are {name: trials (seeds, trials, measures)} at any time.
+
+    ``key_of``: {(name, when): trials} where a driver's trials depend on when.
+    """
+    drivers, key_of = given.pop("drivers"), key_of or {}
+    space = load(7, "column", "of", "finite", *names, MEASURES=MEASURES, OUTCOMES=OUTCOMES,
+                 chapter=SimpleNamespace(profile="paper"), **given)  # fmt: skip
+    space.trials_of = lambda name, key: key_of.get((name, key), drivers.get(name))
+    return space
+
+
+def transfers(**found):
+    """The notebook's `transferred`: {what is asked for of the pre-trained network, or "scratch": trials}."""
+    return SimpleNamespace(stack=lambda key, start: found["scratch" if start == "from scratch" else key])
 
 
 # ---------------------------------------------------------------------------------------------------- bounds, C7.8
@@ -97,9 +110,9 @@ def test_what_is_measured_of_a_trial():
     space = load(7, "measures_of", "MEASURES", "column", OUTCOMES=OUTCOMES, STEP_SECONDS=0.2)
     images = np.zeros((3, 2, 26, 3))
     images[0, 1, 4:7, 2] = 1
-    info = {"outcome": "success", "distance": 12.0, "braking": 3, "replaced": False}
+    info = {"outcome": "success", "distance": 12.0, "braking": 3, "replaced": 2}
     trial = SimpleNamespace(images=images, steps=np.array([4, 6, 25]), returns=np.array([0.7, 0.8, 0.9]), info=info)
-    assert space.measures_of(trial) == [0, 12.0, 3, pytest.approx(2.0), 3, 0.7, False]
+    assert space.measures_of(trial) == [0, 12.0, 3, pytest.approx(2.0), 3, 0.7, 2]
     trial.info = info | {"outcome": "timeout", "distance": 50.0}
     assert space.measures_of(trial)[:2] == [2, -1]
     assert space.column(np.arange(14).reshape(2, 7), "braking").tolist() == [2, 9]
@@ -131,29 +144,76 @@ def test_an_attacker_meets_who_stands_in_its_way_in_time():
 
 # ------------------------------------------------------------------------------------------------------------- claims
 
-def test_c7_1_counts_collisions_only(tmp_path):
-    space = load(7, "collisions", "column", MEASURES=MEASURES, OUTCOMES=OUTCOMES)
+def test_c7_1_counts_collisions_of_all_seeds_together(tmp_path):
+    space = load(7, "collisions", "all_collisions", "column", MEASURES=MEASURES, OUTCOMES=OUTCOMES)
     clean, crash = measured((SUCCESS, 9), (TIMEOUT, -1)), measured((SUCCESS, 9), (COLLISION, 3), (COLLISION, 2))
     assert space.collisions(clean).tolist() == [0] and space.collisions(crash).tolist() == [2]
+    none = np.repeat(clean, 3, axis=0)
+    once = np.concatenate([measured((SUCCESS, 9), (COLLISION, 3)), clean, clean])  # at one seed of three
+    assert space.collisions(once).tolist() == [1, 0, 0] and space.all_collisions([once, none]).tolist() == [1, 1, 1]
     names = SimpleNamespace(**vars(space), label="collisions of all networks, rules and random drivers with a mask")
-    names.masked, names.all_trials = [clean, clean], lambda which: [crash, clean]
+    names.masked, names.all_trials = [none, none], lambda which: [once, none]
     claim = judge(7, "C7.1", names, tmp_path)
-    assert (claim.measured[names.label], claim.control[names.label]) == (0, 2)
-    names.masked = [clean, crash]
-    assert judge(7, "C7.1", names, tmp_path).measured[names.label] == 2
+    assert (claim.verdict, claim.control_verdict) == ("holds", "contradicted")
+    assert (claim.measured[names.label], claim.control[names.label]) == (0, 1)
+    names.masked = [none, once]
+    claim = judge(7, "C7.1", names, tmp_path)
+    assert claim.verdict == "contradicted" and claim.measured[names.label] == 1
+    names.masked, names.all_trials = [none, none], lambda which: [none]  # a control without collisions shows nothing
+    assert judge(7, "C7.1", names, tmp_path).verdict == "undecided"
 
 
-def test_c7_2_compares_the_last_fifth_with_the_first_and_shares_of_successes(tmp_path):
+def test_trials_that_are_the_same_count_once_and_time_outs_are_no_crossings():
+    configs = {name: {"driver": "network"} for name in ("M, z = -1", "M, z = -5", "B", "not learning", "shield")}
+    space = load(7, "counted", "all_trials", "number_of", "column", MEASURES=MEASURES, OUTCOMES=OUTCOMES,
+                 configs=configs | {"random": {"driver": "random"}}, trials_of=lambda *asked: asked)  # fmt: skip
+    everything = {"before", "training", "after"}
+    when = {name: set(space.counted(name)) for name in space.configs}
+    assert when == {"M, z = -1": everything, "shield": everything, "M, z = -5": {"training", "after"},
+                    "B": {"training", "after"}, "not learning": {"training"}, "random": {"after"}}  # fmt: skip
+    assert space.all_trials(["B", "random"]) == [("B", "training"), ("B", "after"), ("random", "after")]
+    assert space.number_of([measured((SUCCESS, 9), (TIMEOUT, -1)), measured((COLLISION, 2))]) == (3, 2)
+
+
+def test_what_cannot_be_compared_is_an_error_where_claims_are_tested():
+    space = load(7, "finite", chapter=SimpleNamespace(profile="paper"))
+    assert space.finite(np.array([1.0, 2.0]), "B").tolist() == [1, 2]
+    with pytest.raises(ReproductionError, match="B: no trial gets across"):
+        space.finite(np.array([1.0, np.nan]), "B")
+    space.chapter.profile = "quick"
+    assert space.finite(np.array([1.0, np.nan]), "B").tolist() == [1, 0]
+
+
+def by_distance(distances):
+    """Trials (seeds, trials, measures) with these distances (seeds, trials), below 0 for a time-out."""
+    trials = np.zeros((*distances.shape, len(MEASURES)))
+    trials[..., 0], trials[..., 1] = np.where(distances < 0, TIMEOUT, SUCCESS), distances
+    return trials
+
+
+def test_c7_2_compares_the_last_fifth_with_the_first_and_evaluations_beside_it(tmp_path):
     early, late = [5.0, 5.0, 20.0, 20.0], [5.0, 20.0, 20.0, -1.0]
     distances = np.array([early + [30.0] * 12 + late] * 3)
-    drivers = {"M, z = -1": distances, "not learning": np.full_like(distances, 30.0)}
-    space = load(7, "fifths", "share_between", "training_parts", of=lambda name, key, measure: drivers[name])
+    drivers = {"M, z = -1": by_distance(distances), "not learning": by_distance(np.full_like(distances, 30.0))}
+    looks = {("M, z = -1", "before"): by_distance(np.array([[-1.0, -1.0, -1.0, 5.0]] * 3)),
+             ("M, z = -1", "after"): by_distance(np.array([[-1.0, 5.0, 5.0, 30.0]] * 3))}  # fmt: skip
+    space = driving("first_and_last_fifth", "fifths", "share_between", "lateness", "closeness", "evaluated_parts",
+                    "training_parts", drivers=drivers, key_of=looks)  # fmt: skip
     parts = space.training_parts("M, z = -1")
     assert parts["share of successes under 10 m, last fifth minus first"] == pytest.approx([1 / 3 - 1 / 2] * 3)
     assert parts["share of successes from 15 to 25 m, last fifth minus first"] == pytest.approx([2 / 3 - 1 / 2] * 3)
     assert parts["share of time-outs, last fifth minus first"] == pytest.approx([0.25] * 3)
     claim = judge(7, "C7.2", space, tmp_path)
-    assert claim.verdict == "holds" and claim.control_verdict == "contradicted"
+    assert claim.verdict == "holds" and claim.control_verdict == "contradicted"  # whatever the evaluations say
+    assert claim.measured["share of time-outs, after minus before training"] == pytest.approx(-0.5)
+    assert claim.measured["share of trials that get across under 10 m, after minus before training"] == 0.25
+    assert np.isnan(space.share_between(0, 10)(np.array([-1.0, -1.0])))
+
+
+def test_fifths_are_of_trials_and_one_trial_at_least():
+    fifths = load(7, "first_and_last_fifth").first_and_last_fifth
+    assert [part.tolist() for part in fifths(np.arange(11)[None])] == [[[0, 1]], [[9, 10]]]
+    assert [part.tolist() for part in fifths(np.arange(3)[None])] == [[[0]], [[2]]]
 
 
 def penalised(*shares):
@@ -165,13 +225,23 @@ def penalised(*shares):
     return made
 
 
-def test_c7_3_wants_fewer_time_outs_for_larger_penalties(tmp_path):
-    trained, fresh = of_drivers(**penalised(5, 3, 1)), of_drivers(**penalised(4, 4, 4))
-    space = load(7, "lateness", "penalty_parts", penalties=PENALTIES,
-                 of=lambda name, key, measure: (trained if key == "after" else fresh)(name, key, measure))  # fmt: skip
+def late_in(*shares):
+    """Training of three seeds with so many time-outs of ten trials in the last fifth of fifty, none before."""
+    return by_distance(np.array([[20.0] * 40 + [-1.0] * late + [20.0] * (10 - late) for late in shares]))
+
+
+def test_c7_3_wants_fewer_time_outs_for_larger_penalties_than_luck_makes(tmp_path):
+    space = driving("first_and_last_fifth", "lateness", "late_at_last", "penalty_parts", penalties=PENALTIES,
+                    drivers=penalised(5, 3, 1), key_of={("M, z = -1", "training"): late_in(2, 3, 2)},
+                    transferred=transfers(low=late_in(3, 2, 3)))  # fmt: skip
     claim = judge(7, "C7.3", space, tmp_path)
+    label = "share of time-outs, z = -1 minus z = -10"
     assert list(claim.measured.values()) == pytest.approx([0.4, 0.2, 0.2])
-    assert claim.verdict == "holds" and claim.control_verdict == "contradicted"
+    assert claim.verdict == "holds" and claim.control_verdict == "undecided"
+    assert claim.control == {label: pytest.approx(-0.1 / 3)}
+    space.transferred = transfers(low=late_in(0, 1, 0))  # luck does as much
+    claim = judge(7, "C7.3", space, tmp_path)
+    assert claim.verdict == "undecided" and claim.control[label] == pytest.approx(0.2)
 
 
 def test_c7_4_compares_at_the_same_share_of_time_outs():
@@ -179,49 +249,102 @@ def test_c7_4_compares_at_the_same_share_of_time_outs():
                "rule + 5 m": measured((TIMEOUT, -1), *[(SUCCESS, 20.0)] * 3),
                "rule + 9 m": measured(*[(TIMEOUT, -1)] * 4),
                "net": measured(*[(SUCCESS, 18.0)] * 7, (TIMEOUT, -1)),
-               "late": measured(*[(TIMEOUT, -1)] * 3, (SUCCESS, 25.0))}  # fmt: skip
-    space = load(7, "mean_of_successes", "mean_distance", "lead_over_rule", "lateness", of=of_drivers(**drivers),
-                 OUTCOMES=OUTCOMES, extra_margins=[0.0, 5.0, 9.0])  # fmt: skip
+               "late": measured(*[(TIMEOUT, -1)] * 3, (SUCCESS, 25.0)), "never": measured((TIMEOUT, -1))}  # fmt: skip
+    space = driving("mean_where", "mean_of_successes", "mean_distance", "lead_over_rule", "lateness", drivers=drivers,
+                    extra_margins=[0.0, 5.0, 9.0])  # fmt: skip
     assert space.mean_distance("rule + 5 m").tolist() == [20.0]
     assert space.lead_over_rule("net") == pytest.approx([18 - 15])  # an eighth is half way from 0 to a quarter
     assert space.lead_over_rule("late") == pytest.approx([25 - 20])  # the nearest margin with successes
+    with pytest.raises(ReproductionError, match="never: no trial gets across"):
+        space.lead_over_rule("never")
 
 
-def test_c7_5_compares_successes_of_both_networks_and_the_random_driver():
-    drivers = {"M, z = -1": measured((SUCCESS, 30.0, 2), (TIMEOUT, -1, 0)), "B": measured((SUCCESS, 12.0, 1)),
-               "random": measured((SUCCESS, 10.0, 4))}  # fmt: skip
-    space = load(7, "mean_of_successes", "mean_distance", "mean_braking", "goal_parts", of=of_drivers(**drivers),
-                 OUTCOMES=OUTCOMES)  # fmt: skip
-    assert [float(part[0]) for part in space.goal_parts("after").values()] == [18, 20, 2, 3, 1, 2]
-    space.of = of_drivers(**drivers | {"B": measured((TIMEOUT, -1, 0))})  # never across: 0 m and 100 steps
-    assert [float(part[0]) for part in space.goal_parts("after").values()] == [30, 20, -10, -96, -98, 2]
+def test_c7_5_compares_successes_of_both_networks_and_the_random_driver(tmp_path):
+    def three(*rows):
+        return np.repeat(measured(*rows), 3, axis=0)
+
+    drivers = {"M, z = -1": three((SUCCESS, 30.0, 2), (TIMEOUT, -1, 0)), "B": three((SUCCESS, 12.0, 1)),
+               "random": three((SUCCESS, 10.0, 4))}  # fmt: skip
+    looks = {("not learning", "training"): three((SUCCESS, 9.0, 3)),
+             ("M, z = -1", "training"): three(*[(SUCCESS, 50.0, 0)] * 4, (SUCCESS, 20.0, 2))}  # fmt: skip
+    space = driving("first_and_last_fifth", "mean_where", "mean_of_successes", "lateness", "GOALS", "BESIDE",
+                    "compared", "goal_parts", drivers=drivers, key_of=looks, density=0.1)  # fmt: skip
+    space.at_limit = {"0.1 cars a second": three((SUCCESS, 9.0, 5))}.get
+    space.twins = looks["M, z = -1", "training"], three(*[(SUCCESS, 50.0, 0)] * 4, (SUCCESS, 21.0, 2.5))
+    assert [float(part[0]) for part in space.goal_parts(space.compared).values()] == [18, 20, 2, 3, 1, 2]
+    claim = judge(7, "C7.5", space, tmp_path)
+    assert claim.verdict == "holds" and claim.control_verdict == "contradicted"
+    assert list(claim.control.values()) == [-1, -1, -1, -1, -0.5, -1]
+    assert claim.measured["share of time-outs, M"] == 0.5 and claim.measured["share of time-outs, B"] == 0
+    assert claim.measured["braking, not learning minus M [steps]"] == 1
+    assert claim.measured["braking, not learning minus B [steps]"] == 2
+    space.twins = space.twins[0], three(*[(SUCCESS, 50.0, 0)] * 4, (SUCCESS, 11.0, 1))  # luck does as much
+    assert judge(7, "C7.5", space, tmp_path).verdict == "undecided"
+    drivers["B"] = three((TIMEOUT, -1, 0))
+    with pytest.raises(ReproductionError, match="distance, M minus B .* no trial gets across"):
+        judge(7, "C7.5", space, tmp_path)
 
 
-def test_c7_6_counts_delays_of_successes_by_cars_in_view():
+def test_c7_6_counts_delays_of_successes_by_cars_in_view(tmp_path):
     rows = [(SUCCESS, 9, 0, 3.0, 1), (SUCCESS, 9, 0, 5.0, 2), (TIMEOUT, -1, 0, 20.0, 2), (SUCCESS, 9, 0, 8.0, 3),
-            (SUCCESS, 9, 0, 1.0, 4), (SUCCESS, 9, 0, 2.0, 6)]  # fmt: skip
-    space = load(7, "delay_of_few", of=of_drivers(some=measured(*rows), few=measured(*rows[:2])))
-    assert space.delay_of_few("some") == pytest.approx([4 - 1.5])
-    assert space.delay_of_few("few").tolist() == [0.0]
+            (SUCCESS, 9, 0, 0.6, 4), (SUCCESS, 9, 0, 1.0, 6), (TIMEOUT, -1, 0, 20.0, 5)]  # fmt: skip
+    drawn = [(SUCCESS, 9, 0, 9.0, 1), (SUCCESS, 9, 0, 9.0, 5)]
+    drivers = {name: np.repeat(measured(*trials), 3, axis=0)
+               for name, trials in {"M, z = -1": rows, "random": drawn}.items()}  # fmt: skip
+    space = driving("mean_where", "delay_parts", drivers=drivers)
+    claim = judge(7, "C7.6", space, tmp_path)
+    assert list(claim.measured.values()) == pytest.approx([4 - 0.8, 4, 0.8])
+    assert claim.verdict == "holds" and claim.control_verdict == "contradicted"  # the delay alone has no control
+    drivers["M, z = -1"][:, 4:6, 3] += 1  # not at once where many are in view
+    assert judge(7, "C7.6", space, tmp_path).verdict == "contradicted"
+    drivers["few"] = measured(*rows[:2])
+    with pytest.raises(ReproductionError, match="few: no trial gets across"):
+        space.delay_parts("few")
+
+
+def test_the_reward_is_not_discounted():
+    space = load(7, "rewards_of", "column", MEASURES=MEASURES, OUTCOMES=OUTCOMES, common={"timeout": -1.0})
+    trials = measured((SUCCESS, 30.0, 0, 19.0, 0, 0.9), (TIMEOUT, -1.0), (COLLISION, 3.0))
+    assert space.rewards_of(trials).tolist() == [[2.0, -1.0, -10.0]]
 
 
 def test_c7_7_compares_the_first_tenth_and_counts_all_collisions(tmp_path):
     def results(first, crashes=0):
-        rows = [(SUCCESS, 9, 0, 0, 0, first if number < 2 else 1.0) for number in range(20)]
-        rows[-1] = (COLLISION, 0) if crashes else rows[-1]
-        return np.repeat(measured(*rows), 3, axis=0)
+        """Three seeds that keep `first` metres in the first tenth; so many of them crash once, later."""
+        trials = np.repeat(measured(*[(SUCCESS, first if number < 2 else 20.0) for number in range(20)]), 3, axis=0)
+        trials[:crashes, -1, 0] = COLLISION
+        return trials
 
-    names = {"collisions", "column", "transfer_parts", "high"}
-    space = load(7, *names, MEASURES=MEASURES, OUTCOMES=OUTCOMES, learning=20,
-                 transferred=None)  # fmt: skip
-    found = {"from scratch": results(0.0), "pre-trained": results(0.5), "shuffled": results(-0.2)}
-    space.transferred = SimpleNamespace(stack=lambda key, start: found[start])
+    space = load(7, "collisions", "all_collisions", "column", "transfer_parts", "rewards_of", "dense", "DENSE",
+                 MEASURES=MEASURES, OUTCOMES=OUTCOMES, learning=20, common={"timeout": -1.0})  # fmt: skip
+    found = {"scratch": results(10.0), "high": results(15.0), "shuffled": results(8.0)}
+    space.transferred = transfers(**found)
     claim = judge(7, "C7.7", space, tmp_path)
     label = "reward in the first tenth, pre-trained minus from scratch"
     assert claim.verdict == "holds" and claim.measured[label] == pytest.approx(0.5)
-    assert claim.control_verdict == "contradicted"
-    found["pre-trained"] = results(0.5, crashes=1)
+    assert claim.control_verdict == "contradicted" and claim.control[label] == pytest.approx(-0.2)
+    space.transferred = transfers(**found | {"high": results(15.0, crashes=1)})  # at one seed of three
     assert judge(7, "C7.7", space, tmp_path).verdict == "contradicted"
+
+
+def test_the_transfer_trains_in_sparse_traffic_once_and_all_dense_traffic_is_alike():
+    seen = []
+
+    def learn_in(traffic, config, seed, teaching, weights=None):
+        seen.append((traffic, seed.spawn_key, int(teaching.generate_state(1)[0]), weights))
+        return f"trained in {traffic}", np.arange(50.0)
+
+    space = load(7, "transfer", learn_in=learn_in)
+    config = {"density": 0.1, "high": 0.15}
+    assert set(space.transfer(config | {"start": "from scratch"}, np.random.SeedSequence(3))) == {"high"}
+    assert set(space.transfer(config | {"start": "pre-trained"}, np.random.SeedSequence(3))) == {
+        "low", "high", "shuffled"}  # fmt: skip
+    traffics, learners, teachings, weights = zip(*seen, strict=True)
+    assert traffics == (0.15, 0.1, 0.15, 0.15)
+    assert teachings[0] == teachings[2] == teachings[3] != teachings[1]
+    assert learners[0] == learners[1] and len(set(learners[1:])) == 3  # alike at the beginning, then each its own
+    assert weights[0] is weights[1] is None and weights[2].tolist() == list(range(50))
+    assert sorted(weights[3]) == list(range(50)) and weights[3].tolist() != list(range(50))
 
 
 def test_means_over_the_training():

@@ -164,11 +164,19 @@ def test_what_is_not_safe_is_replaced_by_waiting(junction):
     _, info = env.reset(seed=0)
     assert not info["safe"][1] and not info["replaced"]  # the slowest profile, who may come into view
     _, _, ended, late, info = env.step(1)
-    assert info["replaced"] and not ended and not late and env.cars()[0][0, 3] == 0
+    assert info["replaced"] == 1 and not ended and not late and env.cars()[0][0, 3] == 0
+    assert env.step(1)[4]["replaced"] == 2 and env.step(0)[4]["replaced"] == 2  # of the trial so far
+    assert env.reset()[1]["replaced"] == 0
+
+
+def test_without_safety_what_is_not_safe_is_done_and_counted(junction):
     env = junction(safety="none")
     _, info = env.reset(seed=0)
-    assert info["action_mask"].all() and not info["safe"][1]
-    assert env.step(1)[2]
+    assert info["action_mask"].all() and not info["safe"][1] and info["replaced"] == 0
+    _, _, ended, _, info = env.step(1)
+    assert ended and info["replaced"] == 1
+    env.reset(seed=0)
+    assert env.step(0)[4]["replaced"] == 0
 
 
 def test_a_shield_says_that_all_is_allowed_and_takes_its_penalty(junction):
@@ -176,8 +184,9 @@ def test_a_shield_says_that_all_is_allowed_and_takes_its_penalty(junction):
     _, info = env.reset(seed=0)
     assert info["action_mask"].all() and not info["safe"][1]
     _, reward, _, _, info = env.step(1)
-    assert info["replaced"] and reward == -2.0
-    assert env.step(0)[1] == 0
+    assert info["replaced"] == 1 and reward == -2.0
+    _, reward, _, _, info = env.step(0)
+    assert reward == 0 and info["replaced"] == 1
 
 
 def test_the_mask_knows_the_cars_of_its_moment_only_and_not_what_comes(junction):

@@ -65,8 +65,9 @@ class SafeJunction(SumoCrossing):
     ``discount``, ``render_mode``: as in `Crossing`. ``folder``: where the network is.
 
     Observations (2, 26, 3): the two lanes of `grid`. ``info`` has ``steps`` and ``outcome`` as in `Crossing`;
-    ``action_mask`` (4,), what is allowed next; ``safe`` (4,), what is safe next; ``replaced``, whether the action was;
-    ``distance``, d, and ``braking``, steps with a car that brakes. Resets are those of `Intersection`. Raises
+    ``action_mask`` (4,), what is allowed next; ``safe`` (4,), what is safe next; ``replaced``, how many actions of the
+    trial were so far (without ``safety`` nothing is: how many were not safe); ``distance``, d, and ``braking``, steps
+    with a car that brakes. Resets are those of `Intersection`. Raises
     ValueError for an unknown density, goal, safety or render mode, and for files that are not those of build.py.
     """
 
@@ -89,17 +90,19 @@ class SafeJunction(SumoCrossing):
     def reset(self, *, seed: int | None = None, options: dict | None = None):
         """Begin a trial: (observation, info)."""
         seen, info = super().reset(seed=seed)
-        return seen, info | self._said(False)
+        return seen, info | self._said()
 
     def step(self, action):
         """Wait or go: (observation, discounted reward of its steps, terminated, truncated, info)."""
-        replaced = self.safety != "none" and not self.safe[action]
+        unsafe = not self.safe[action]
+        self.replaced += unsafe
+        replaced = unsafe and self.safety != "none"
         seen, _, ended, late, info = super().step(WAIT if replaced else action)
         rewards = np.array(self._costs)
         rewards[-1] += self._worth(info["outcome"])
         rewards[0] -= self.shield_penalty * replaced
         reward = float(rewards @ self.discount ** np.arange(len(rewards)))
-        return seen, reward, ended, late, info | self._said(replaced)
+        return seen, reward, ended, late, info | self._said()
 
     def _predict(self, margins, unseen, view):
         path = self.roads.path
@@ -112,7 +115,7 @@ class SafeJunction(SumoCrossing):
             libsumo.vehicle.remove("ego")
             self.sumo.drive_on(RECOVERY)
         self.sumo.begin_trial(int(self.np_random.integers(2**31)) if new else None)
-        self.distance, self.braking = FAR, 0
+        self.distance, self.braking, self.replaced = FAR, 0, 0
         for _ in range(PATIENCE):
             if self._first.safe(self.cars()[1]).any():
                 break
@@ -162,10 +165,10 @@ class SafeJunction(SumoCrossing):
     def _look_out(self):
         self.safe = np.r_[True, self.prediction.safe(self.cars()[1])]
 
-    def _said(self, replaced) -> dict:
+    def _said(self) -> dict:
         mask = self.safe.copy() if self.safety == "mask" else np.ones_like(self.safe)
-        return {"action_mask": mask, "safe": self.safe.copy(), "replaced": replaced, "distance": self.distance,
-                "braking": self.braking}  # fmt: skip
+        return {"action_mask": mask, "safe": self.safe.copy(), "replaced": self.replaced,
+                "distance": self.distance, "braking": self.braking}  # fmt: skip
 
     def _look(self) -> np.ndarray:
         return grid(self.cars()[1], self.origin)[ROWS // 2 - 1 : ROWS // 2 + 1]
