@@ -3,6 +3,7 @@
 import bench
 import numpy as np
 import pytest
+import torch
 from bench import Row
 
 
@@ -31,6 +32,7 @@ def test_every_promise_is_measured_and_dense_and_fast_updates_agree(monkeypatch,
     small = {"batched_roll_outs": {"count": 2, "n": 2, "repetitions": 1}, "many_tasks": {"many": 12, "repetitions": 2},
              "dense_inverse": {"tasks": 6, "columns": 2, "repetitions": 2}, "junction": {"repetitions": 1},
              "q_update": {"repetitions": 2}, "q_learning": {"iterations": 2, "repetitions": 1},
+             "inserts": {"sizes": (12, 30), "decisions": 2, "repetitions": 2}, "digit_update": {"repetitions": 2},
              "mask": {"repetitions": 1}}
     for name, sizes in small.items():
         measure = getattr(bench, name)
@@ -41,6 +43,8 @@ def test_every_promise_is_measured_and_dense_and_fast_updates_agree(monkeypatch,
         *[("at least", 30)] * 4, ("at most", 1.1),
         ("at least", 3), ("at most", 1e-8), ("at least", 10), ("at most", 1e-8),
         ("at least", 0.8), ("at most", 1.8), ("at most", 0.85), ("at most", 0.6), ("at least", 1.6),
+        ("at most", 0.05), ("at most", 0.1), *[("at most", 0.02), ("at most", 0.05)] * 2, ("at most", 0.1),
+        ("at most", 5), ("at most", 1),
         ("at least", 100), ("at most", 0.1)]
     assert all(np.isfinite(row.measured) and row.measured > 0 for row in rows)
     assert all(row.ok for row in rows if row.limit == 1e-8), "results are equal"
@@ -52,10 +56,35 @@ def test_every_promise_is_measured_and_dense_and_fast_updates_agree(monkeypatch,
     assert printed[-1].startswith("load before: ")
 
 
+@pytest.mark.parametrize("name", ["surprise", "reward", "matching", "coverage"])
+def test_every_insert_that_is_measured_is_one_into_a_full_memory(name):
+    memory, network = bench.full_memory(name, 30), bench.learner().network
+    trial = bench.random_trial(memory.images.shape[1:], 10)
+    assert len(memory) == 30 and not memory.images.any()
+    memory.add(trial, network)
+    assert len(memory) == 30 and memory.added == 40
+    stored = sum(any((image == held).all() for held in memory.images) for image in trial.images[:-1])
+    assert stored == 10
+
+
+def test_the_plain_loop_learns_what_the_classifier_learns():
+    network = bench.digit_network(seed=0)
+    twin, rng = bench.torch_twin(network), np.random.default_rng(0)
+    ours = bench.Classifier(network, 0.1, 100, np.random.SeedSequence(0))
+    optimiser = torch.optim.SGD(twin.parameters(), lr=0.1)
+    images, labels = rng.random((100, 784), np.float32), rng.integers(10, size=100)
+    for _ in range(3):
+        ours.update(images, labels)
+        optimiser.zero_grad()
+        torch.nn.functional.cross_entropy(twin(torch.from_numpy(images)), torch.from_numpy(labels)).backward()
+        optimiser.step()
+    np.testing.assert_allclose(network.values(images), twin(torch.from_numpy(images)).detach(), atol=1e-5)
+
+
 @pytest.mark.parametrize(("load", "said"), [(0.1, False), (1.7, True)])
 def test_a_loaded_machine_is_named(load, said, monkeypatch, capsys):
     for name in ("batched_roll_outs", "many_tasks", "dense_inverse", "junction", "traci_loop", "q_update",
-                 "q_learning", "mask"):
+                 "q_learning", "inserts", "digit_update", "mask"):
         monkeypatch.setattr(bench, name, lambda *_: iter(()))
     monkeypatch.setattr(bench.os, "getloadavg", lambda: (load, 0, 0))
     assert bench.main() == []
