@@ -148,7 +148,8 @@ def lives(**of):
 
 FORGETS = life([0.8, 0, 0], [0.1, 0.7, 0], [0.0, 0.2, 0.6])
 KEEPS = life([0.8, 0, 0], [0.7, 0.7, 0], [0.5, 0.6, 0.6])
-NAMES = ("earlier_rooms", "present_room", "fall_of", "lead_of", "last_fifth", "LEARNED", "LEFT")
+NAMES = ("earlier_rooms", "present_room", "in_earlier_rooms", "in_present_room", "fall_of", "lead_of", "last_fifth",
+         "LEARNED", "LEFT")
 
 
 def test_parts_of_the_claim_by_hand():
