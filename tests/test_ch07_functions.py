@@ -151,7 +151,8 @@ def test_c7_1_counts_collisions_of_all_seeds_together(tmp_path):
     none = np.repeat(clean, 3, axis=0)
     once = np.concatenate([measured((SUCCESS, 9), (COLLISION, 3)), clean, clean])  # at one seed of three
     assert space.collisions(once).tolist() == [1, 0, 0] and space.all_collisions([once, none]).tolist() == [1, 1, 1]
-    names = SimpleNamespace(**vars(space), label="collisions of all networks, rules and random drivers with a mask")
+    label = "collisions of all networks, rules and random drivers with a mask or a shield"
+    names = SimpleNamespace(**vars(space), label=label)
     names.masked, names.all_trials = [none, none], lambda which: [once, none]
     claim = judge(7, "C7.1", names, tmp_path)
     assert (claim.verdict, claim.control_verdict) == ("holds", "contradicted")
