@@ -22,7 +22,7 @@ STRANGERS = {"PG": fleets_of(0, 1, 1, 1), "PG-ELLA": fleets_of(0, 0.5, 0, 0)}
 
 
 def measures(curves=CURVES, strangers=STRANGERS, **given):
-    names = ("lead", "jump", "advantage", "final", "parts_of", "controls_of", "JUMP", "ADVANTAGE")
+    names = ("lead", "jump", "advantage", "final", "parts_of", "controls_of", "JUMP", "ADVANTAGE", "LATE")
     return load(3, *names, early=1, turtlebots=curves, drones=curves,
                 without_right_sources=lambda kind: strangers, **given)
 
@@ -102,6 +102,7 @@ def test_c3_3_asks_drones_for_jump_and_lead(tmp_path):
     claim = judge(3, "C3.3", measures(late), tmp_path)
     assert claim.measured["return at iteration 10: PG-ELLA minus PG"] == 1 / 4
     assert claim.measured["mean return over iterations 10 to 100: PG-ELLA minus PG"] == pytest.approx(-4 / 3 / 4)
+    assert claim.measured[measures().LATE] == pytest.approx((1 + 1 - 2 - 3) / 4 / 4)  # four points in all
     assert list(claim.control.values()) == [-1 / 4, pytest.approx(-2 / 4)]  # the random column: (-1 - 2 - 3) / 3 of 4
     assert claim.verdict == "contradicted"
 
@@ -109,11 +110,16 @@ def test_c3_3_asks_drones_for_jump_and_lead(tmp_path):
 @pytest.mark.parametrize("lead, verdict", [(0.1, "holds"), (-0.1, "holds"), (0.3, "contradicted"),
                                            (-0.3, "contradicted")])
 def test_c3_9_is_a_share_of_what_pg_gains(tmp_path, lead, verdict):
-    measured = fleets_of(0, *[4 + lead] * 3)
+    measured = fleets_of(0, 4 + lead, 9, 9)  # what comes later has no vote
     claim = judge(3, "C3.9", measures(CURVES | {"measured curvature": measured}), tmp_path)
-    (share,) = claim.measured.values()
-    assert share == pytest.approx(lead / 4)
-    assert claim.verdict == verdict
+    assert claim.measured["return at iteration 10: measured curvature minus identity"] == pytest.approx(lead / 4)
+    assert claim.measured["mean return: mean start minus identity"] == pytest.approx((-1 + 1 + 0) / 3 / 4)
+    assert claim.verdict == verdict and claim.control_verdict == "contradicted"
+
+
+def test_c3_9_needs_a_control_that_differs(tmp_path):
+    alike = CURVES | {"measured curvature": fleets_of(0, 4, 4, 4), "mean start": fleets_of(0, 4.1, 4, 4)}
+    assert judge(3, "C3.9", measures(alike), tmp_path).verdict == "undecided"
 
 
 # --------------------------------------------------------------------------------------------------- iterations saved
