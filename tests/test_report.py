@@ -207,6 +207,13 @@ def test_numbers_of_findings_come_from_the_ledger():
         book.with_numbers("{C4.6: gain}", [])
 
 
+def test_a_finding_about_no_claim_waits_for_the_claims_that_it_speaks_of():
+    rows = [{"id": "C4.5", "verdict": "holds", "parts": [{"label": "gain", "measured": 0.1, "interval": [0, 1]}]},
+            {"id": "C4.6", "verdict": "not tested", "parts": []}]
+    sections = [("One", "A gain of {C4.5: gain}."), ("Both", "{C4.5: gain} and {C4.6: loss}"), ("None", "Words.")]
+    assert list(book._with_known_numbers(sections, rows)) == [("One", "A gain of 0.1."), ("None", "Words.")]
+
+
 def test_no_number_of_the_ledger_is_typed_into_a_finding():
     """A number with three digits or more that rounds one of its claim's, whose interval then stands there as well."""
     standing = {row["id"]: row for row in read_json(book.ROOT / "figures" / "reference" / "paper" / "claims.json", [])}

@@ -79,7 +79,7 @@ def build_book(folder: Path, reference: Path) -> Path:
     introduction, others, findings = _findings()
     pages = {"claims": page("claims.md", claims=claims, standing=standing, places=places),
              "not_reproduced": page("not_reproduced.md", introduction=introduction,
-                                     others=[(title, with_numbers(text, standing)) for title, text in others],
+                                     others=list(_with_known_numbers(others, standing)),
                                      explained=_explained(standing, findings), untested=_with("not tested", standing)),
              "deviations": (ROOT / "DEVIATIONS.md").read_text(), "recordings": page("recordings.md", names=recordings),
              "costs": page("costs.md", rows=cost_table(ROOT / "data" / "results" / "paper")),
@@ -219,6 +219,14 @@ def _findings() -> tuple[str, list, dict[str, str]]:
     findings = {title: text for title, _, text in (section.partition("\n") for section in sections)}
     others = [(title, text) for title, text in findings.items() if not re.match(r"C\d", title)]
     return re.sub(r"^# .*", "", introduction, flags=re.MULTILINE), others, findings
+
+
+def _with_known_numbers(sections: list, standing: list[dict]) -> Iterator[tuple[str, str]]:
+    """Sections (title, text) whose claims have all been judged, with their numbers."""
+    untested = {claim["id"] for claim in _with("not tested", standing)}
+    for title, text in sections:
+        if not untested & set(re.findall(r"\{(C\d+\.\d+):", text)):
+            yield title, with_numbers(text, standing)
 
 
 def with_numbers(text: str, standing: list[dict]) -> str:
