@@ -52,7 +52,8 @@ project = html_title = "Lifelong reinforcement learning on mobile robots, reprod
 author = "The lifelong reproduction authors"
 extensions = ["myst_nb", "lifelong_lib.reproduction.book"]
 html_theme = "sphinx_book_theme"
-html_theme_options = {"home_page_in_toc": True, "use_download_button": False, "use_fullscreen_button": False}
+html_theme_options = {"home_page_in_toc": True, "use_download_button": False, "use_fullscreen_button": False,
+                      "navbar_persistent": []}
 html_static_path = ["_static"]
 html_css_files = ["book.css"]
 html_context = {"default_mode": "auto"}
