@@ -26,7 +26,7 @@ LIBRARY = REPOSITORY / "lifelong_lib"
 SOURCES = sorted(LIBRARY.rglob("*.py"))
 NOTEBOOKS = find_notebooks(REPOSITORY / "notebooks")
 # With all eight chapters it must not be more than 6,500. It is more already: what is too long has to shrink.
-LINES = 7944
+LINES = 7934
 
 # May import from. A module that is not listed falls under its package.
 ALLOWED = {
@@ -221,13 +221,12 @@ def test_notebook_cells_are_short_and_explained(path):
 
 @each_notebook
 def test_the_verdicts_come_first(path):
-    """Before them at most 300 words and 40 lines of code; chapter 1 has no claims, chapter 8 is about all of them."""
+    """Before them at most 300 words and 40 lines of code; chapters 1 and 8 read those of all chapters."""
     number = int(path.name[2:4])
-    if number in (1, 8):
-        return
+    first = "standings(" if number in (1, 8) else f"chapter_verdicts({number})"
     cells = read_notebook(path).cells
-    (place,) = (index for index, cell in enumerate(cells) if f"chapter_verdicts({number})" in cell.source)
-    assert sum(len(cell.source.split()) for cell in cells[:place]) <= 300
+    place = next(index for index, cell in enumerate(cells) if cell.cell_type == "code" and first in cell.source)
+    assert sum(len(cell.source.split()) for cell in cells[:place] if cell.cell_type == "markdown") <= 300
     assert sum(loc(cell) for cell in cells[: place + 1] if cell.cell_type == "code") <= 40
 
 
