@@ -102,7 +102,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     compare.add_argument("--json", action="store_true", help="print the comparison as JSON")
     compare.add_argument("--page", type=Path, metavar="FOLDER", help="where the page goes (default: comparison, in A)")
     add("accept", accept_command, "make the last run the reference", profile)
-    add("bench", bench_command, "measure the speed ratios")
+    add("bench", lambda options: call("tests.bench"), "measure the speed ratios")  # which joins what is kept apart
     add("test", None, "run the tests; what follows goes to pytest")  # here for the help only, see main
     add("lab", lab_command, "open the notebooks in JupyterLab on this machine")
     options = parser.parse_args(arguments)
@@ -300,10 +300,6 @@ def accept_command(options: argparse.Namespace) -> int:
     folder, reference = places(options)
     print(f"{report.accept(folder, reference)} files are now the reference in {reference}; commit them")
     return 0
-
-
-def bench_command(options: argparse.Namespace) -> int:
-    return call("tests.bench")  # it joins what the library keeps apart
 
 
 def lab_command(options: argparse.Namespace) -> int:

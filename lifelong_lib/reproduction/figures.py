@@ -67,16 +67,10 @@ LOOKS = {
     "coverage": Look("#009E73", "^", (0, (5, 1.5, 1, 1.5)), "\\\\\\"),
     "matching": Look("#0072B2", "o", "-", "///"),
     "latest": Look("#CC79A7", "P", (0, (1, 1)), "..."),
-    # chapter 6: rooms of the grid world
-    "top right": Look("#0072B2", "o", "-", ""),
-    "bottom left": Look("#E69F00", "D", (0, (5, 1.5)), "xxx"),
-    "bottom right": Look("#009E73", "^", (0, (5, 1.5, 1, 1.5)), "///"),
-    # chapter 6: what is done against forgetting
-    "none": Look("#000000", "x", (0, (1, 1.5)), ""),
-    "EWC": Look("#E69F00", "D", (0, (5, 1.5)), "xxx"),
-    "selective": Look("#0072B2", "o", "-", ""),
-    "both": Look("#009E73", "^", (0, (5, 1.5, 1, 1.5)), "///"),
 }
+# Chapter 6: rooms of the grid world, and what is done against forgetting, which never stand beside what they look like.
+LOOKS |= {"top right": LOOKS["right"], "bottom left": LOOKS["left"], "bottom right": LOOKS["left2"],
+          "none": LOOKS["FIFO"], "EWC": LOOKS["left"], "selective": LOOKS["right"], "both": LOOKS["left2"]}  # fmt: skip
 STYLE = {
     "font.family": "DejaVu Sans", "font.size": 8, "axes.titlesize": 9, "axes.titleweight": "bold",
     "axes.linewidth": 0.6, "axes.spines.top": False, "axes.spines.right": False, "axes.axisbelow": True,
