@@ -74,7 +74,7 @@ def unpack(folder: Path, identity: Mapping) -> list[Run]:
 def to_npz(values: Mapping) -> bytes:
     """An npz file with the same bytes for the same values: names sorted, no dates, no pickle."""
     buffer = io.BytesIO()
-    np.savez(buffer, allow_pickle=False, **dict(sorted(values.items())))
+    np.savez_compressed(buffer, allow_pickle=False, **dict(sorted(values.items())))
     return buffer.getvalue()
 
 
